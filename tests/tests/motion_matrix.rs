@@ -523,5 +523,15 @@ fn all_shapes_through_five_bounces() {
     let of = |(what, body, moves): (&'static str, &str, &[&'static str])| {
         case_of_depth(6, what, &format!("{room}{body}"), moves, &[EDGES])
     };
-    compare_all(cases.map(of).into());
+    let mut cases = Vec::from(cases.map(of));
+    // No path finds what edges hide of these: light goes on from where their shadows end.
+    let lights = format!("{FLOOR}{BULB}{TORCH}{wall}{CUBE}");
+    let moves = [
+        "it.translation",
+        "bulb.position",
+        "torch.position",
+        "sensor.translation",
+    ];
+    cases.push(case_of_depth(6, "lights", &lights, &moves, &[EDGES]));
+    compare_all(cases);
 }

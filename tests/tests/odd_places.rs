@@ -125,6 +125,29 @@ fn odd_places_are_finite_or_named() {
     }
 }
 
+/// Particles know no lens: what bounces from where shadows of a bulb end has no samples there, and is refused by name.
+#[test]
+fn shadows_that_bounce_are_refused_through_a_lens() {
+    let bulb = r#"<emitter type="point"><point name="position" x="-1" y="3" z="0.5"/></emitter>"#;
+    let of = |depth: u32| {
+        let text = format!(
+            r#"<integrator type="path"><integer name="max_depth" value="{depth}"/></integrator>
+            <sensor type="thinlens"><float name="fov" value="45"/><float name="aperture_radius" value="0.1"/>
+            <float name="focus_distance" value="5"/><transform name="to_world"><lookat origin="0, 3, 5"
+            target="0, 0.4, 0" up="0, 1, 0"/></transform><film type="hdrfilm"><integer name="width" value="8"/>
+            <integer name="height" value="8"/><rfilter type="box"/></film></sensor>{FLOOR}{bulb}{CUBE}"#
+        );
+        let mut s = tests::scene(&text);
+        let names = ["it.translation"];
+        s.make_movable(&names).expect("known");
+        single(Estimator::Edges, &s, &names)
+    };
+    let all = of(2).expect("admitted");
+    assert!(all.iter().all(|d| d.is_finite() && *d != 0.0), "{all:?}");
+    let message = of(3).expect_err("refused").to_string();
+    assert!(message.contains("the camera is no pinhole"), "{message}");
+}
+
 /// Of a mesh that folds, as a whole and at the vertex that is pulled, and of a lamp that is sunk in a cube. 8 runs of 256
 /// samples of 256 pixels, and differences of 8 runs of 512.
 #[test]

@@ -19,7 +19,6 @@ use super::record::{Contribution, Interest, Observer, Place};
 use super::rendering::{Components, NonFinite, Rendering};
 use super::tile::{place, start};
 use super::vertex::MODE;
-use crate::bsdf::nesting::flips_normals;
 use crate::bsdf::{Bsdf, Shading};
 use crate::error::RenderError;
 use crate::manifold::Split;
@@ -188,7 +187,7 @@ pub fn image<P: Float + Components, X: Sampler>(
         progress,
         ..
     } = &pass;
-    if scene.materials().iter().any(|m| flips_normals(m)) {
+    if scene.flips_normals() {
         return Err(RenderError::FlippedNormals);
     }
     let black = || Rendering::black(scene.film.crop_size, &pass.samples, P::COUNT);

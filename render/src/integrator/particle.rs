@@ -33,7 +33,6 @@ use super::vertex::roulette::{play, probability, roulette_weight};
 use super::vertex::{assert_finite, part_of};
 use crate::bsdf::differential::Part;
 use crate::bsdf::kernel::{Rules, kernel_weight};
-use crate::bsdf::nesting::flips_normals;
 use crate::bsdf::{Bsdf, Component, Material, Shading, TransportMode};
 use crate::camera::Pinhole;
 use crate::emitter::{Ball, Emission, Emitter};
@@ -96,7 +95,12 @@ impl<'a, R: Real> Context<'a, R> {
         Ok(Self::unchecked(scene, theta, settings))
     }
 
-    fn unchecked(scene: &'a Scene, theta: &'a Theta<'a, R>, settings: &'a Settings) -> Self {
+    /// [`Context::new`] of a scene of which it is known that particles see it as paths do.
+    pub(super) fn unchecked(
+        scene: &'a Scene,
+        theta: &'a Theta<'a, R>,
+        settings: &'a Settings,
+    ) -> Self {
         let ball = match scene.infinite_emitters() {
             [] => None,
             _ => Ball::around(scene.shapes()),
@@ -138,7 +142,7 @@ pub fn check(scene: &Scene) -> Result<(), RenderError> {
     if !scene.camera.is_pinhole() {
         return Err(RenderError::NoPinhole);
     }
-    if scene.materials().iter().any(|m| flips_normals(m)) {
+    if scene.flips_normals() {
         Err(RenderError::FlippedNormals)
     } else {
         Ok(())
@@ -205,6 +209,25 @@ struct Here<'a, R: Real> {
     n_geo: Vec3<R::Primal>,
     /// Direction that the particle came from, local frame.
     wo: Vec3<R::Primal>,
+}
+
+impl<'a, R: Real> Here<'a, R> {
+    #[inline(always)]
+    fn new(
+        context: &Context<'a, R>,
+        ray: &Ray<R::Primal>,
+        hit: &'a Intersection<R::Primal>,
+    ) -> Self {
+        let si = &hit.si;
+        Self {
+            material: context.scene.material(hit.shape),
+            exit: context.scene.exit(hit.prim),
+            si,
+            at: Shading::new(*context.theta, Vec2::lift(si.uv)),
+            n_geo: si.local_geometric_normal(),
+            wo: si.frame.to_local(-ray.d),
+        }
+    }
 }
 
 /// Direction to the pinhole, distance, film position, importance over squared distance.
@@ -393,19 +416,12 @@ impl<R: Real, X: Sampler> Particle<R, X> {
         self.depth += 1;
         let depth = self.depth;
         let si = &hit.si;
-        let (info, exit) = (scene.shape_info(hit.shape), scene.exit(hit.prim));
+        let info = scene.shape_info(hit.shape);
         if context.caustics_only && depth == 1 && !info.glossy {
             return;
         }
-        let wo = si.frame.to_local(-ray.d);
-        let here = Here {
-            material: scene.material(hit.shape),
-            exit,
-            si,
-            at: Shading::new(*context.theta, Vec2::lift(si.uv)),
-            n_geo: si.local_geometric_normal(),
-            wo,
-        };
+        let here = Here::new(context, &ray, &hit);
+        let wo = here.wo;
         if O::ENABLED {
             let place = Place {
                 shape: hit.shape,
@@ -543,6 +559,32 @@ impl<R: Real, X: Sampler> Particle<R, X> {
 }
 
 impl<R: Real, X: Sampler> Particle<R, X> {
+    /// What goes on from the first surface of a particle that arrives there with `beta`; the camera sees that some other way.
+    /// The numbers of a start have been drawn from `sampler`.
+    pub(super) fn scattered(
+        context: &Context<R>,
+        ray: &Ray<R::Primal>,
+        hit: &Intersection<R::Primal>,
+        beta: Rgb<R>,
+        sampler: X,
+    ) -> Self {
+        let mut this = Self {
+            ray: None,
+            shadow: None,
+            value: Rgb::black(),
+            film: [R::Primal::zero(); 2],
+            pending: None,
+            sampler,
+            beta,
+            roulette_weight: R::Primal::one(),
+            depth: 1,
+        };
+        if context.settings.max_depth > 2 {
+            this.scatter(context, &Here::new(context, ray, hit), false, &mut ());
+        }
+        this
+    }
+
     /// Samples the change of normals at the vertex `hit`. Both samples go on as particles made of the same
     /// numbers: what they bring is alike, and its noise cancels.
     #[inline(never)]
@@ -624,7 +666,11 @@ impl<R: Real, X: Sampler> Particle<R, X> {
     }
 
     /// Goes on to the end, tracing ray by ray.
-    fn finish(mut self, context: &Context<R>, splat: &mut dyn FnMut([R::Primal; 2], Rgb<R>)) {
+    pub(super) fn finish(
+        mut self,
+        context: &Context<R>,
+        splat: &mut dyn FnMut([R::Primal; 2], Rgb<R>),
+    ) {
         lockstep::trace_alone(
             context.scene,
             &context.theta.primal(),

@@ -2,7 +2,7 @@
 
 use super::{Scene, ShapeInfo, sensor};
 use crate::accel::MAX_COORDINATE;
-use crate::bsdf::nesting::{reads_axes, scatters_deltas};
+use crate::bsdf::nesting::{flips_normals, reads_axes, scatters_deltas};
 use crate::bsdf::{Bsdf, Material, TextureRef};
 use crate::camera::{FovAxis, Optic};
 use crate::emitter::{AnyEmitter, Emitter};
@@ -501,6 +501,11 @@ impl Scene {
         Ok(p)
     }
 
+    /// Whether any material flips normals to the viewer.
+    pub(crate) fn flips_normals(&self) -> bool {
+        self.materials.iter().any(|m| flips_normals(m))
+    }
+
     /// Whether something scatters along Dirac deltas: mirrors, smooth glass, holes.
     pub(crate) fn scatters_deltas(&self) -> bool {
         self.delta_scatterer().is_some()
@@ -568,8 +573,8 @@ impl Scene {
 
     /// Whether the estimator has terms for all outlines that move with this parameter, where paths have up to `max_depth`
     /// edges, if it has any. Where directions follow outlines, they slide over everything: no texture may jump then. Shadows of
-    /// lights that no scattered light meets are drawn from the light, if it is a point or a spot, for samples of edges alone
-    /// and only as the camera sees them. Directions that follow points of the film need a pixel filter whose derivative has
+    /// lights that no scattered light meets are drawn from the light, if it is a point or a spot, for samples of edges alone;
+    /// what else they fall on than what the camera sees is for particles, which know pinholes and normals as they are. Directions that follow points of the film need a pixel filter whose derivative has
     /// samples, a box or a Gaussian, and rays that leave one point of the camera's lens.
     ///
     /// # Errors
@@ -633,9 +638,13 @@ impl Scene {
             refuse(
                 "shadows of directional lights and projectors have outlines without samples of edges",
             )
-        } else if max_depth > 2 && deltas().next().is_some() {
+        } else if max_depth > 2
+            && deltas().next().is_some()
+            && (!self.camera.is_pinhole() || self.flips_normals())
+        {
             refuse(
-                "shadows of point and spot lights have outlines without samples of edges where paths have more than two edges",
+                "shadows of point and spot lights have outlines without samples of edges where paths have more than two edges \
+                 and the camera is no pinhole, or normals are flipped to the viewer",
             )
         } else {
             Ok(())

@@ -36,6 +36,7 @@ use self::form::{Contribution, Form, Mover, Moving, Term, hit_at};
 use self::shadows::Lights;
 use super::active::Active;
 use super::exact::ExactBuffer;
+use super::particle;
 use super::pass::Pass;
 use super::path::{Context, Walk};
 use super::paths::{TileSums, assemble, deposit};
@@ -50,7 +51,7 @@ use crate::edges::Inside;
 use crate::edges::crossing::Crossings;
 use crate::edges::film::{FilmCurves, FilmPoint, Sides};
 use crate::edges::{EdgePoint, Edges, Eye, Seeker, Surfaces};
-use crate::emitter::AnyEmitter;
+use crate::emitter::{AnyEmitter, Emitter};
 use crate::estimator::Strategy;
 use crate::math::{Frame, NOWHERE, Ray, RayAdjoint, Rgb, Segment};
 use crate::parallel;
@@ -149,6 +150,8 @@ struct Boundary<'a, P: Float> {
     surfaces: Surfaces<'a>,
     curves: FilmCurves,
     shadows: Lights,
+    /// How light goes on from what lights that are points illuminate, if paths are long enough for that.
+    onwards: Option<particle::Context<'a, P>>,
     turning: Lights,
     /// From the middle of its lens, if the camera has one.
     viewer: Viewer<P>,
@@ -194,6 +197,7 @@ impl<'a, P: Float> Boundary<'a, P> {
         let curves = edges.on_film(&scene.camera, &scene.film, &of_film, crossings, &of_pair);
         let max_depth = context.settings.max_depth;
         let apart = |pair: &[u32; 2]| moving.parts(*pair);
+        let longer = max_depth > 2 && scene.emitters().iter().any(AnyEmitter::is_delta);
         let lamp = |pair: [u32; 2]| pair.iter().any(|&shape| scene.is_lamp(shape));
         let crossed = [
             crossings.shapes().any(|pair| apart(&pair)),
@@ -210,6 +214,8 @@ impl<'a, P: Float> Boundary<'a, P> {
             surfaces: scene.surfaces(),
             curves,
             shadows: Lights::of(scene, max_depth, AnyEmitter::draws_shadows),
+            onwards: longer
+                .then(|| particle::Context::unchecked(scene, context.theta, context.settings)),
             turning: Lights::of(scene, max_depth, |e| scene.turns_away(e)),
             viewer: scene.camera.viewer(&scene.film, [P::of(0.5); 2]),
             moving,
@@ -232,19 +238,23 @@ impl<'a, P: Float> Boundary<'a, P> {
         }
     }
 
-    /// Number `i` of all samples of a source: where on the film, and of what.
+    /// Calls `each` with what number `i` of all samples of a source brings: where on the film, and of what.
     fn sample<S: Strategy, X: Sampler>(
         &self,
         source: Source,
         i: u64,
-    ) -> Option<([f64; 2], Contribution<P>)> {
-        match source {
+        each: &mut dyn FnMut([f64; 2], Contribution<P>),
+    ) {
+        let one = match source {
             Source::Film => {
                 let count = self.per_sample(source);
                 self.on_film::<S, X>([i % count, count], i / count)
             }
-            Source::Shadows => self.before_light(i),
+            Source::Shadows => return self.before_light(i, each),
             Source::Turns => self.at_turn(i),
+        };
+        if let Some((at, c)) = one {
+            each(at, c);
         }
     }
 
@@ -787,15 +797,14 @@ fn splat<R: Components, S: Strategy, X: Sampler>(
             let mut splats = Vec::new();
             let mut non_finite = NonFinite::default();
             for i in own..(own + CHUNK).min(stop) {
-                let Some((at, c)) = boundary.sample::<S, X>(source, i) else {
-                    continue;
-                };
-                let value = color(&c);
-                if value.is_finite() {
-                    splats.push((at, value));
-                } else {
-                    non_finite.add(i % per_sample, i / per_sample);
-                }
+                boundary.sample::<S, X>(source, i, &mut |at, c| {
+                    let value = color(&c);
+                    if value.is_finite() {
+                        splats.push((at, value));
+                    } else {
+                        non_finite.add(i % per_sample, i / per_sample);
+                    }
+                });
             }
             (splats, non_finite)
         });
@@ -915,22 +924,21 @@ pub(super) fn gradient<P: Float, S: Strategy, X: Sampler>(
                 if i % CHUNK == 0 && pass.progress.cancelled() {
                     break;
                 }
-                let Some((at, c)) = boundary.sample::<S, X>(source, i) else {
-                    continue;
-                };
-                if !c.is_finite() {
-                    non_finite.add(i % per_sample, i / per_sample);
-                    continue;
-                }
-                let mut d = [0.0; 3];
-                let film = &scene.film;
-                film.splat(at, film.rows(at[1]), |pixel, weight| {
-                    for (k, d) in d.iter_mut().enumerate() {
-                        *d += weight * f64::from(adjoint[pixel * 3 + k]);
+                boundary.sample::<S, X>(source, i, &mut |at, c| {
+                    if !c.is_finite() {
+                        non_finite.add(i % per_sample, i / per_sample);
+                        return;
                     }
+                    let mut d = [0.0; 3];
+                    let film = &scene.film;
+                    film.splat(at, film.rows(at[1]), |pixel, weight| {
+                        for (k, d) in d.iter_mut().enumerate() {
+                            *d += weight * f64::from(adjoint[pixel * 3 + k]);
+                        }
+                    });
+                    let d = d.map(|d| P::of(d / samples as f64));
+                    scatter(&c, Rgb::from(d), &mut sink);
                 });
-                let d = d.map(|d| P::of(d / samples as f64));
-                scatter(&c, Rgb::from(d), &mut sink);
             }
             (sink.into_small(), non_finite)
         });

@@ -10,13 +10,19 @@
 //! it sees; the ray goes on to the receiver, and that is connected to the camera. No sample looks for a lamp that may be
 //! small, and lights that are points are no special case: they have no area to choose from.
 //!
+//! From a receiver light goes on by scattering, and each surface that it comes to may be what the camera sees. Lights that have an area
+//! leave that to paths, whose later vertices look for edges before them; where a light is a point, no path would find any,
+//! and the receiver sends a [particle](super::super::particle). It stays on its material then: nothing on the film is followed.
+//!
 //! # Does not handle
-//! Environments and directional lights; receivers that the camera sees in others, which paths look for.
+//! Environments and directional lights; receivers that the camera sees in others before lights with an area, which paths look
+//! for.
 
 use std::ops::Range;
 
 use ad_core::{Float, Vec3};
 
+use super::super::particle::Particle;
 use super::super::tile::on_lens;
 use super::form::{Contribution, Form, Mover, Term};
 use super::{Boundary, MODE, Source, wide};
@@ -93,14 +99,27 @@ pub(super) struct Receiver<P> {
     pub area: f64,
 }
 
+/// What an edge before a light shades.
+struct Shade<P: Float> {
+    /// From the light past the edge, and what it meets.
+    ray: Ray<P>,
+    hit: Intersection<P>,
+    /// Where the camera looks at it through its lens.
+    lens: [P; 2],
+    /// Whether the light is a point.
+    of_point: bool,
+    /// What arrives, over the density of the sample, as an edge that moves by a unit hides it.
+    power: Rgb<P>,
+    /// How fast the edge and the light move.
+    form: Form<P>,
+    /// Along what the receiver moves against them.
+    receiver_moves: Vec3<f64>,
+}
+
 impl<P: Float> Receiver<P> {
     /// Where on the film.
     pub fn at(&self) -> [f64; 2] {
         self.seen.1.film.map(P::to_f64)
-    }
-
-    fn surface(&self) -> &SurfaceInteraction<P> {
-        &self.seen.2
     }
 }
 
@@ -134,17 +153,44 @@ impl<P: Float> Boundary<'_, P> {
         }
     }
 
-    /// Sample `index` of edges before lights: where on the film, and of what.
-    pub(super) fn before_light(&self, index: u64) -> Option<([f64; 2], Contribution<P>)> {
-        let scene = self.context.scene;
-        let count = self.per_sample(Source::Shadows) as f64;
+    /// Calls `each` with what sample `index` of edges before lights brings: where on the film, and of what.
+    pub(super) fn before_light(&self, index: u64, each: &mut dyn FnMut([f64; 2], Contribution<P>)) {
         // The samples of all pixels together are spread.
-        let mut sampler = Spread::spread(
+        let sampler = Spread::spread(
             Points::Sobol,
             Family::EdgesBeforeLights.seed(self.seed),
             0,
             index,
         );
+        let Some(shade) = self.shade(sampler) else {
+            return;
+        };
+        if let Some((at, c)) = self.as_seen(&shade) {
+            each(at, c);
+        }
+        let Some(onwards) = &self.onwards else {
+            return;
+        };
+        if !shade.of_point {
+            return;
+        }
+        let mut form = shade.form.clone();
+        let Intersection { prim, shape, si } = shade.hit;
+        form.extend(self.material(prim, shape, || si, shade.receiver_moves));
+        if form.is_empty() {
+            return;
+        }
+        let particle = Particle::scattered(onwards, &shade.ray, &shade.hit, -shade.power, sampler);
+        particle.finish(onwards, &mut |at, value| {
+            let form = form.clone();
+            each(at.map(P::to_f64), Contribution { value, form });
+        });
+    }
+
+    /// What an edge before a light shades.
+    fn shade<X: Sampler>(&self, mut sampler: X) -> Option<Shade<P>> {
+        let scene = self.context.scene;
+        let count = self.per_sample(Source::Shadows) as f64;
         let u: [f64; 2] = sampler.next_2d();
         let on_light: [P; 2] = sampler.next_2d();
         let (light, weight) = self.shadows.choose(sampler.next_1d())?;
@@ -193,21 +239,19 @@ impl<P: Float> Boundary<'_, P> {
             None => Ray::new(start.p, leaving),
         };
 
-        // ---- What it shades, as the camera sees that ----
+        // ---- What it shades ----
         let eye = Eye::point(wide(from.o));
         let (ray, hit) = self.past(&edge, (&eye, from), 2)?;
-        let receiver = self.receiver(&ray, hit?, lens)?;
-        let si = receiver.surface();
-        let x = wide(si.p);
+        let hit = hit?;
+        let x = wide(hit.si.p);
         // Where it stands on that, it shades nothing that it does not hide on the film, with rays as near as these.
-        let beside = self.clearance(edge.shape, si.t.to_f64());
-        if wide(si.n_geo).dot(edge.p - x).abs() <= beside {
+        let beside = self.clearance(edge.shape, hit.si.t.to_f64());
+        if wide(hit.si.n_geo).dot(edge.p - x).abs() <= beside {
             return None;
         }
         let [to_edge, to_light] = [edge.p, y].map(|p| (p - x).length());
         let cos_light = n_geo.map_or(1.0, |n| n.dot(wide(ray.d)).abs());
         let measure = edge.weight * cos_light / edge.distance;
-        let weight = weight * start.weight * measure * receiver.area / count;
 
         // ---- How fast, times the distance of the edge, which may be small ----
         let n = edge.normal;
@@ -223,8 +267,23 @@ impl<P: Float> Boundary<'_, P> {
             }
             None => {}
         }
-        form.extend(self.of_receiver(&receiver, n * (part - 1.0)));
-        let value = -(receiver.f * le).scale(P::of(weight));
+        Some(Shade {
+            ray,
+            hit,
+            lens,
+            of_point: start.surface.is_none(),
+            power: le.scale(P::of(weight * start.weight * measure / count)),
+            form,
+            receiver_moves: n * (part - 1.0),
+        })
+    }
+
+    /// That as the camera sees it, whose point of the film stays.
+    fn as_seen(&self, shade: &Shade<P>) -> Option<([f64; 2], Contribution<P>)> {
+        let receiver = self.receiver(&shade.ray, shade.hit, shade.lens)?;
+        let mut form = shade.form.clone();
+        form.extend(self.of_receiver(&receiver, shade.receiver_moves));
+        let value = -(receiver.f * shade.power).scale(P::of(receiver.area));
         (!form.is_empty()).then_some((receiver.at(), Contribution { value, form }))
     }
 
