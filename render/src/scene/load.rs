@@ -402,6 +402,10 @@ impl Reading {
         };
         let emitter = match emitter_node {
             Some(e) => {
+                if let Some(id) = &e.id {
+                    let params = self.build.registry().params_mut();
+                    params.answer_of_one(id, &format!("{name}.emitter"));
+                }
                 let next = self.build.shapes().len() as u32;
                 let read = self.emitter(e, &format!("{name}.emitter"), Some(next));
                 let read = read.and_then(|read| {
@@ -471,6 +475,10 @@ impl Reading {
         node.finish()?;
         let name = node.id.clone().unwrap_or_else(|| format!("shape{index}"));
         let parts = self.apart(group.children_with_tag("shape"))?;
+        let mut unnamed = (0..).map(|n| match n {
+            0 => "shape".to_owned(),
+            n => format!("shape_{n}"),
+        });
         for (i, part) in parts.into_iter().enumerate() {
             if matches!(part.plugin.as_str(), "instance" | "shapegroup") {
                 return Err(part.refused("groups of groups and of instances are"));
@@ -482,6 +490,15 @@ impl Reading {
                 return Err(emitter.refused("shapes of a group that emit, in its instances, are"));
             }
             let id = part.id.clone().unwrap_or_else(|| format!("shape{i}"));
+            // In Mitsuba the material is that of the group.
+            let theirs = part.id.clone().or_else(|| unnamed.next());
+            if let (Some(group), Some(theirs)) = (&group.id, theirs) {
+                let params = self.build.registry().params_mut();
+                params.answer(
+                    format!("{group}.{theirs}.bsdf"),
+                    &format!("{name}.{id}.bsdf"),
+                );
+            }
             self.part(node, part, format!("{name}.{id}"), &to_world, index)?;
         }
         Ok(())
