@@ -43,6 +43,11 @@ pub(super) const MAX_PIXELS: usize = 1 << 27;
 
 /// Integrators that the path tracer is.
 const INTEGRATORS: &[&str] = &["path", "direct", "prb"];
+/// Numbers of samples of the integrator `direct`, and what only these find.
+const TECHNIQUES: [(&str, &str); 2] = [
+    ("emitter_samples", "light of emitters without size"),
+    ("bsdf_samples", "light over mirrors and smooth glass"),
+];
 /// Films that tell apart when light arrives.
 const OVER_TIME: &[&str] = &["streakhdrfilm", "transient_hdr_film"];
 /// Of all of them only the number of samples is read, and of those of other names, too.
@@ -705,8 +710,16 @@ fn integrator(mut node: &Node, settings: &mut Settings) -> Result<(), SceneError
         node.ignore_rest();
     }
     node.ignore(&["samples_per_pass", "block_size"], Node::integer)?;
-    let samples = ["shading_samples", "emitter_samples", "bsdf_samples"];
-    node.ignore(&samples, Node::integer)?;
+    for (key, lost) in TECHNIQUES {
+        if node.integer(key)? == Some(0) {
+            node.warn(format!(
+                "`{key}`: both techniques are used; {lost} is in the image, which is left out in Mitsuba where this is 0"
+            ));
+        } else {
+            node.ignore(&[key], Node::integer)?;
+        }
+    }
+    node.ignore(&["shading_samples"], Node::integer)?;
     node.ignore(&["timeout"], Node::float)?;
     node.finish()
 }

@@ -478,6 +478,12 @@ fn checkerboard<const C: usize>(
     usage: &Use,
 ) -> Result<Texture<C>, SceneError> {
     let mut color = |key: &str, default: f64| -> Result<ParamRef, SceneError> {
+        if let Some(inside) = node
+            .child(key)
+            .filter(|t| t.tag == "texture" && !t.is_constant())
+        {
+            return Err(inside.refused("textures in a `checkerboard` are"));
+        }
         let mut value = constant_of::<C>(node, key)?.unwrap_or_else(|| vec![default; C]);
         raise(node, key, &mut value, usage.valid);
         let shape = match C {
