@@ -124,7 +124,8 @@ fn options(
         defines,
         allow_missing,
         sensor: sensor.map(|s| sensor_name(&s)).transpose()?,
-        several_sensors: false,
+        // All that makes images or gradients can name another.
+        several_sensors: true,
     })
 }
 

@@ -270,7 +270,9 @@ VIEWS = """<scene version="3.0.0">
 
 
 def test_sensors_have_names_and_numbers() -> None:
-    scene = rg.load_string(VIEWS)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        scene = rg.load_string(VIEWS)
     assert scene.sensors == ["front", "side"] and scene.size == (4, 6)
     for sensor in ("side", 1):
         assert rg.load_string(VIEWS, sensor=sensor).size == (3, 2)
