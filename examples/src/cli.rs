@@ -439,7 +439,7 @@ fn assign(
         });
     };
     if !file.is_file() {
-        return Err(wrong("a number, or the name of an image"));
+        return Err(wrong("a number, or the name of an image that is there"));
     }
     let image = image_io::read_layer(&file, encoding, layer.as_deref())?;
     let found = (image.width, image.height);

@@ -36,7 +36,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 use ad_core::{Float, Real, array};
 
@@ -197,6 +197,8 @@ pub struct Params {
     aliases: HashMap<String, String>,
     /// The first other beginning of a name.
     others: HashMap<String, String>,
+    /// Other beginnings that would stand for several.
+    of_several: HashSet<String>,
     /// How the images that texels were read from are encoded.
     encodings: HashMap<u32, Encoding>,
 }
@@ -205,6 +207,8 @@ pub struct Params {
 const ENDINGS: [&str; 2] = [".value", ".data"];
 /// So often beginnings of a name stand for others at most.
 const MOST_ALIASES: usize = 16;
+/// And so often where a pattern asks for all that stand for one.
+const MOST_ALIASES_OF_ONE: usize = 4;
 
 impl Params {
     /// Adds a range, [`ParamKind::Smooth`] until a scene is built of materials and emitters that say otherwise. The name
@@ -302,6 +306,28 @@ impl Params {
         self.aliases.entry(other).or_insert_with(|| own.to_owned());
     }
 
+    /// Says that names that begin with `other` stand for those that begin with `own`, as [`Params::alias`] does, where lists
+    /// show another one; the first who says so is right.
+    pub(crate) fn answer(&mut self, other: String, own: &str) {
+        if other != own {
+            self.aliases.entry(other).or_insert_with(|| own.to_owned());
+        }
+    }
+
+    /// The same of what can have one own name only: it has no other one where several say so.
+    pub(crate) fn answer_of_one(&mut self, other: &str, own: &str) {
+        if self.of_several.contains(other) {
+            return;
+        }
+        match self.aliases.get(other) {
+            Some(known) if known != own => {
+                self.aliases.remove(other);
+                self.of_several.insert(other.to_owned());
+            }
+            _ => self.answer(other.to_owned(), own),
+        }
+    }
+
     /// What a name of a thing stands for, if it is another one.
     pub(crate) fn stands_for<'a>(&'a self, other: &'a str) -> &'a str {
         self.aliases.get(other).map_or(other, String::as_str)
@@ -341,9 +367,9 @@ impl Params {
         key.contains(['*', '?'])
     }
 
-    /// All ranges whose own name, or the [other](Params::other_name) one, fits a pattern: `*` stands for any text, `?` for
-    /// any character. The pattern may leave out the `.value` or `.data` at the end. One without stars and question marks is
-    /// a name, as in [`Params::find`].
+    /// All ranges of which any name fits a pattern, be it their own, or one that [`Params::find`] takes for theirs: `*` stands for
+    /// any text, `?` for any character. The pattern may leave out the `.value` or `.data` at the end. One without stars and
+    /// question marks is a name, as there.
     ///
     /// # Errors
     /// [`RenderError::UnknownParameter`] where nothing does.
@@ -351,14 +377,11 @@ impl Params {
         if !Self::is_pattern(pattern) {
             return self.find(pattern).map(|info| vec![info]);
         }
-        // With or without the ending, as for names.
-        let any = |name: &str| {
-            let bare = ENDINGS.iter().find_map(|end| name.strip_suffix(end));
-            fits(pattern, name) || bare.is_some_and(|bare| fits(pattern, bare))
-        };
-        let fits = |info: &&ParamInfo| {
-            any(&info.name) || self.other_name(info).is_some_and(|other| any(&other))
-        };
+        let mut ways: HashMap<&str, Vec<&str>> = HashMap::new();
+        for (other, own) in &self.aliases {
+            ways.entry(own).or_default().push(other);
+        }
+        let fits = |info: &&ParamInfo| fits_any(pattern, &info.name, &ways, MOST_ALIASES_OF_ONE);
         let found: Vec<_> = self.infos.iter().filter(fits).collect();
         if found.is_empty() {
             let names = self.infos.iter().map(|i| &i.name);
@@ -407,8 +430,27 @@ impl Params {
     }
 }
 
-/// A name whose longest known beginning is replaced.
+/// Whether a name, or what stands for it where beginnings have other names, fits a pattern, with or without the ending.
+fn fits_any(pattern: &str, name: &str, ways: &HashMap<&str, Vec<&str>>, most: usize) -> bool {
+    let bare = ENDINGS.iter().find_map(|end| name.strip_suffix(end));
+    if fits(pattern, name) || bare.is_some_and(|bare| fits(pattern, bare)) {
+        return true;
+    }
+    let Some(most) = most.checked_sub(1) else {
+        return false;
+    };
+    name.match_indices('.').any(|(end, _)| {
+        let others = ways.get(&name[..end]).into_iter().flatten();
+        let mut others = others.map(|other| format!("{other}{}", &name[end..]));
+        others.any(|other| fits_any(pattern, &other, ways, most))
+    })
+}
+
+/// A name whose longest known beginning is replaced, which may be all of it.
 fn replaced(name: &str, by: &HashMap<String, String>) -> Option<String> {
+    if let Some(all) = by.get(name) {
+        return Some(all.clone());
+    }
     let mut ends = name.rmatch_indices('.').map(|(i, _)| i);
     ends.find_map(|end| Some(format!("{}{}", by.get(&name[..end])?, &name[end..])))
 }

@@ -12,6 +12,7 @@ mod emitters;
 mod finite_element;
 mod image_io;
 mod interior;
+mod keys;
 mod mesh_attributes;
 mod motion;
 mod old_scenes;

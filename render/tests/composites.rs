@@ -18,6 +18,11 @@ const MODE: TransportMode = TransportMode::Radiance;
 
 /// A scene of one rectangle with this material. `weights.exr` and `normals.exr` lie beside it.
 fn load(bsdf: &str) -> Result<Scene, SceneError> {
+    loaded(bsdf).map(|(scene, _)| scene)
+}
+
+/// [`load`], with warnings.
+fn loaded(bsdf: &str) -> Result<(Scene, Vec<String>), SceneError> {
     let dir = TempDir::new().unwrap();
     let wave = |i: usize, k: f32| 0.5 + 0.45 * (i as f32 * k).sin();
     let image = |name: &str, channels: usize, data: Vec<f32>| {
@@ -42,7 +47,7 @@ fn load(bsdf: &str) -> Result<Scene, SceneError> {
         <shape type="rectangle" id="s">{bsdf}</shape></scene>"#
     );
     std::fs::write(&path, xml).unwrap();
-    Scene::load(Path::new(&path), &LoadOptions::default()).map(|(scene, _)| scene)
+    Scene::load(Path::new(&path), &LoadOptions::default())
 }
 
 fn diffuse(r: f64, g: f64, b: f64) -> String {
@@ -823,6 +828,33 @@ fn faulty_descriptions_are_named() {
         let error = load(&xml).unwrap_err().to_string();
         assert!(error.contains(expected), "{error}");
     }
+}
+
+/// Whoever wrote a scene for Mitsuba 3.9 sees its corrections there.
+#[test]
+fn maps_without_corrections_are_warned_of() {
+    let map = |extra: &str| {
+        let texture = r#"<texture name="normalmap" type="bitmap"><string name="filename" value="normals.exr"/></texture>"#;
+        let nested = diffuse(0.5, 0.5, 0.5);
+        let bsdf = format!(r#"<bsdf type="normalmap">{texture}{extra}{nested}</bsdf>"#);
+        loaded(&bsdf).unwrap().1
+    };
+    let flip = r#"<boolean name="flip_invalid_normals" value="false"/>"#;
+    for extra in ["", flip] {
+        let [warning] = &map(extra)[..] else {
+            panic!("{extra}: {:?}", map(extra));
+        };
+        assert!(
+            warning.contains("Mitsuba 3.9 turns those over"),
+            "{warning}"
+        );
+    }
+    for both in [correct(false, false), correct(true, true)] {
+        assert_eq!(map(&both), Vec::<String>::new());
+    }
+    // That of older programs.
+    let (_, warnings) = loaded(&normal_map(&diffuse(0.5, 0.5, 0.5), "")).unwrap();
+    assert_eq!(warnings, Vec::<String>::new());
 }
 
 #[test]

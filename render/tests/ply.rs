@@ -188,11 +188,15 @@ fn what_is_wrong_is_said_with_its_line() {
         ),
         (
             "ply\nformat ascii 1.0\nelement vertex x\nend_header\n".to_owned(),
-            "m.ply:3: expected a well-formed header",
+            "m.ply:3: expected a well-formed header, found `element vertex x`",
         ),
         (
             "ply\nformat ascii 1.0\nelement face 0\nend_header\n".to_owned(),
-            "expected the element `vertex`, found none",
+            "expected the element `vertex`, found `face`",
+        ),
+        (
+            header.replace("element face", "element tristrips"),
+            "m.ply: expected the element `face`, found `vertex`, `tristrips`",
         ),
         (
             header.replace("float z", "float w"),
@@ -207,7 +211,7 @@ fn what_is_wrong_is_said_with_its_line() {
                 "{}{body}3 0 1 2\n",
                 header.replace("uchar int", "uchar float")
             ),
-            "m.ply:13: expected 1 of 1 `face`",
+            "m.ply:13: expected indices of vertices that are whole numbers, found others",
         ),
         (
             header.replace("vertex 3", "vertex 99999999999999"),
@@ -215,12 +219,25 @@ fn what_is_wrong_is_said_with_its_line() {
         ),
         (
             file("0 0 0\n1 0 0\n0 1\n3 0 1 2\n"),
-            "m.ply:12: expected 3 of 3 `vertex`",
+            "m.ply:12: expected a number for `z` of `vertex` 3 of 3, found the end of the line",
         ),
         (
             file("0 0 0\n1 0 x\n0 1 0\n3 0 1 2\n"),
-            "m.ply:11: expected 2 of 3 `vertex`",
+            "m.ply:11: expected a number for `z` of `vertex` 2 of 3, found `x`",
         ),
+        (
+            file("0 0 0\n1 0 0 0\n0 1 0\n3 0 1 2\n"),
+            "m.ply:11: expected the end of the line behind `vertex` 2 of 3, found `0`",
+        ),
+        (
+            file(&format!("{body}3 0 1 2.5\n")),
+            "m.ply:13: expected a whole number from -2147483648 to 2147483647 for `vertex_indices` of `face` 1 of 1, found `2.5`",
+        ),
+        (
+            file("0 0 0\n1 0 0\n\n \n"),
+            "m.ply: expected `vertex` 3 of 3, found the end of the file",
+        ),
+        (file("0 0 nan\n1 0 0\n0 1 0\n3 0 1 2\n"), "m.ply"),
         (file(body), "expected 1 of `face`, found 0 bytes"),
         (
             file(&format!("{body}2 0 1\n")),
@@ -241,6 +258,75 @@ fn what_is_wrong_is_said_with_its_line() {
         let found = found.unwrap_or_else(|| panic!("accepted: {text}"));
         assert!(found.contains(expected), "{found}\nnot {expected}");
     }
+}
+
+#[test]
+fn text_gives_the_bits_of_binary() {
+    let header = format!("element vertex 3\n{POSITIONS}element face 1\n{FACES}");
+    let moved = ObjOptions {
+        to_world: Transform::scale([1.7, 0.3, 2.9]).then(&Transform::translate([0.1, 0.7, -0.3])),
+        ..plain()
+    };
+    let [text, binary, _] = ENCODINGS.map(|encoding| {
+        let mut w = Writer::new(encoding, &header);
+        for i in 0..3 {
+            let x = 0.1 + i as f32 / 3.0;
+            w = w.float(x).float(x * x * 7.3).float(1e-3 / x).end();
+        }
+        let bytes = w.face(&[0, 1, 2]).bytes;
+        read(&bytes, &moved).unwrap().0.data().positions.clone()
+    });
+    assert_eq!(text, binary);
+}
+
+/// As C and C++ print them, and with lines between them.
+#[test]
+fn numbers_in_text_are_those_of_other_programs() {
+    let file = |lines: &str| {
+        format!(
+            "ply\nformat ascii 1.0\nelement vertex 4\n{POSITIONS}element face 1\n{FACES}end_header\n{lines}"
+        )
+    };
+    let plainly = file("0 0 0.5\n1 0 0.5\n1 1 0.5\n0 1 0.5\n4 0 1 2 3\n");
+    let (expected, _) = read(plainly.as_bytes(), &plain()).unwrap();
+    for lines in [
+        "0. -0 .5\n+1 0 5e-1\n1.000000e+00 1E0 0.5\n0 1 0.5\n4 0 1 2 3\n",
+        "\n0 0 0.5\n\n\n  1\t0   0.5 \n1 1 0.5\n \n0 1 0.5\n\n4 0 1 2 3",
+        "0 0 0.5\r\n1 0 0.5\r\n1 1 0.5\r\n0 1 0.5\r\n4 0 1 2 3\r\n\r\n",
+    ] {
+        let (found, _) = read(file(lines).as_bytes(), &plain()).unwrap();
+        assert_eq!(
+            found.data().positions,
+            expected.data().positions,
+            "{lines:?}"
+        );
+        assert_eq!(found.data().triangles, expected.data().triangles);
+    }
+}
+
+/// Normals that are no numbers, of degenerate faces, are those of the faces: in text as in binary.
+#[test]
+fn normals_that_are_no_numbers_are_made_anew() {
+    let normals = "property float nx\nproperty float ny\nproperty float nz\n";
+    let header = format!("element vertex 3\n{POSITIONS}{normals}element face 1\n{FACES}");
+    let corners = [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]];
+    let mut binary = Writer::new(Encoding::Little, &header);
+    for [x, y] in corners {
+        binary = binary.float(x).float(y).float(0.5);
+        binary = binary.float(f32::NAN).float(f32::NAN).float(f32::NAN);
+    }
+    let binary = binary.face(&[0, 1, 2]).bytes;
+    let (expected, _) = read(&binary, &plain()).unwrap();
+    for nan in ["nan", "-nan", "NaN", "-nan(ind)", "NAN"] {
+        let mut text = format!("ply\nformat ascii 1.0\n{header}end_header\n");
+        for [x, y] in corners {
+            text += &format!("{x} {y} 0.5 {nan} {nan} {nan}\n");
+        }
+        let (found, _) = read(format!("{text}3 0 1 2\n").as_bytes(), &plain()).unwrap();
+        assert_eq!(found.data().normals, expected.data().normals, "{nan}");
+    }
+    let finite = |n: &[f32; 3]| n.iter().all(|x| x.is_finite());
+    assert!(expected.data().normals.iter().all(finite));
 }
 
 /// Also those that would be elements without a byte, of which any number would fit.

@@ -133,6 +133,40 @@ fn parameters_are_written_as_they_are() {
     assert_eq!(picture(&again), picture(&scene));
 }
 
+/// Mitsuba 3.9 corrects what does not say that it is not to be.
+#[test]
+fn normal_maps_are_written_as_they_are_seen() {
+    let dir = folder();
+    let map = |said: &str| {
+        let bsdf = format!(
+            r#"<bsdf type="normalmap"><texture type="bitmap" name="normalmap"><string name="filename" value="picture.exr"/>
+            </texture>{said}<bsdf type="diffuse"/></bsdf>"#
+        );
+        let view = r#"<sensor type="perspective"/><emitter type="constant"/>"#;
+        let text =
+            format!(r#"<scene version="3.0.0">{view}<shape type="sphere">{bsdf}</shape></scene>"#);
+        let path = dir.path().join("map.xml");
+        std::fs::write(&path, text).expect("a scene");
+        let to = dir.path().join("out/map.xml");
+        load(&path).save(&to).expect("a file");
+        let (_, warnings) = Scene::load(&to, &LoadOptions::default()).expect("a scene");
+        assert_eq!(warnings, Vec::<String>::new());
+        std::fs::read_to_string(&to).expect("a text")
+    };
+    let flag = |name: &str, value: bool| format!(r#"<boolean name="{name}" value="{value}"/>"#);
+    let [flip, shadow] = ["flip_invalid_normals", "use_shadowing_function"];
+    for (said, flips, shadows) in [
+        (String::new(), false, false),
+        (flag(flip, true), true, false),
+        (flag(flip, true) + &flag(shadow, true), true, true),
+    ] {
+        let text = map(&said);
+        assert!(text.contains(&flag(flip, flips)), "{text}");
+        assert!(text.contains(&flag(shadow, shadows)), "{text}");
+        assert_eq!(text.matches("<boolean").count(), 2, "{text}");
+    }
+}
+
 #[test]
 fn what_cannot_be_written_is_an_error() {
     let text = r#"<scene version="3.0.0"><sensor type="perspective"/><shape type="sphere"/>

@@ -321,6 +321,20 @@ fn integrators_of_others() {
             "{plugin}: {warnings:?}"
         );
     }
+    // What Mitsuba leaves out where it takes no samples of one of the two is there.
+    let (_, warnings) = load(
+        "<integrator type=\"direct\"><integer name=\"emitter_samples\" value=\"4\"/>\
+        <integer name=\"bsdf_samples\" value=\"0\"/></integrator>",
+    )
+    .unwrap();
+    assert_eq!(
+        warnings,
+        [
+            "<text>:2: integrator `direct`: `emitter_samples` has no effect",
+            "<text>:2: integrator `direct`: `bsdf_samples`: both techniques are used; light over mirrors and smooth glass is in the \
+             image, which is left out in Mitsuba where this is 0",
+        ]
+    );
     let moment = "<integrator type=\"moment\"><integrator type=\"aov\"><string name=\"aovs\" value=\"d:depth\"/>
         <integrator type=\"prb_basic\"><integer name=\"max_depth\" value=\"3\"/><float name=\"kappa\" value=\"1\"/></integrator>
         </integrator></integrator>";
@@ -362,6 +376,11 @@ fn integrators_of_others() {
         (
             "<texture type=\"gridtexture\" id=\"grid\"/>",
             "<text>:2: texture `gridtexture`: textures that are computed, other than `checkerboard`, are not there",
+        ),
+        (
+            "<shape type=\"sphere\"><bsdf type=\"diffuse\"><texture type=\"checkerboard\" name=\"reflectance\">\
+             <texture type=\"bitmap\" name=\"color0\"/></texture></bsdf></shape>",
+            "<text>:2: texture `bitmap`: textures in a `checkerboard` are not there",
         ),
         (
             "<shape type=\"shape\"/>",

@@ -103,14 +103,19 @@ pub fn image<'py, T: Element>(
 /// # Errors
 /// Another shape than the expected one.
 pub fn values(what: &str, array: &Like<'_>, expected: &[usize]) -> PyResult<Vec<f32>> {
-    if array.shape() != expected {
-        return Err(PyValueError::new_err(format!(
-            "{what}: expected an array of shape {}, found {}",
-            tuple(expected),
-            tuple(array.shape())
-        )));
-    }
+    check_shape(what, array, expected)?;
     Ok(array.as_array().iter().copied().collect())
+}
+
+fn check_shape(what: &str, array: &Like<'_>, expected: &[usize]) -> PyResult<()> {
+    if array.shape() == expected {
+        return Ok(());
+    }
+    Err(PyValueError::new_err(format!(
+        "{what}: expected an array of shape {}, found {}",
+        tuple(expected),
+        tuple(array.shape())
+    )))
 }
 
 /// The values of a range: an array of its shape, or one number for all of them.
@@ -130,21 +135,35 @@ pub fn range(info: &ParamInfo, array: &Like<'_>) -> PyResult<Vec<f32>> {
 /// # Errors
 /// Another size, or a value that is not finite, with its place.
 pub fn pixels(what: &str, array: &Like<'_>, [width, height]: [usize; 2]) -> PyResult<Vec<f32>> {
-    let values = values(what, array, &[height, width, 3])?;
-    match values.iter().position(|v| !v.is_finite()) {
-        None => Ok(values),
-        Some(i) => Err(PyValueError::new_err(format!(
-            "{what}: expected finite numbers, found {} in row {}, column {}, channel {}",
-            values[i],
-            i / 3 / width,
-            i / 3 % width,
-            i % 3
-        ))),
+    check_shape(what, array, &[height, width, 3])?;
+    finite(what, array)
+}
+
+/// The values of a picture, whatever its shape.
+///
+/// # Errors
+/// One that is not finite, with its place.
+pub fn finite(what: &str, array: &Like<'_>) -> PyResult<Vec<f32>> {
+    let values: Vec<f32> = array.as_array().iter().copied().collect();
+    let Some(i) = values.iter().position(|v| !v.is_finite()) else {
+        return Ok(values);
+    };
+    let mut place = Vec::new();
+    let mut rest = i;
+    for (&length, name) in array.shape().iter().zip(["row", "column", "channel"]).rev() {
+        place.push(format!("{name} {}", rest % length));
+        rest /= length;
     }
+    place.reverse();
+    Err(PyValueError::new_err(format!(
+        "{what}: expected finite numbers, found {} in {}",
+        values[i],
+        place.join(", ")
+    )))
 }
 
 /// A shape as Python writes it.
-fn tuple(shape: &[usize]) -> String {
+pub fn tuple(shape: &[usize]) -> String {
     match shape {
         [one] => format!("({one},)"),
         _ => {

@@ -9,6 +9,7 @@ mod arrays;
 mod check;
 mod error;
 mod estimators;
+mod images;
 mod instructions;
 mod loss;
 mod optimizer;
@@ -27,6 +28,8 @@ mod _native {
     use crate::check::Check;
     #[pymodule_export]
     use crate::estimators::{EstimatorInfo, estimators};
+    #[pymodule_export]
+    use crate::images::{read_image, write_image};
     #[pymodule_export]
     use crate::instructions::has_x86_64_v3;
     #[pymodule_export]

@@ -3,11 +3,14 @@
 use std::collections::{HashMap, HashSet};
 use std::ffi::CString;
 use std::ops::{Deref, DerefMut};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::{RwLock, RwLockReadGuard, RwLockWriteGuard, TryLockError};
 
 use numpy::{PyArray3, PyArrayDyn};
-use pyo3::exceptions::{PyKeyError, PyRuntimeError, PyRuntimeWarning, PyTypeError, PyValueError};
+use pyo3::PyTypeInfo;
+use pyo3::exceptions::{
+    PyKeyError, PyRuntimeError, PyRuntimeWarning, PyTypeError, PyUserWarning, PyValueError,
+};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList, PyMapping, PyString};
 use render::auto::{self, Mixture};
@@ -24,7 +27,7 @@ use crate::arrays::{self, Like, array, image, like, pixels, range, shape};
 use crate::check::Check;
 use crate::error::Error;
 use crate::estimators::or_auto;
-use crate::work::work;
+use crate::work::{apart, work};
 
 /// A scene: what is in it, how it is rendered, and all its parameters by name.
 ///
@@ -39,7 +42,8 @@ pub struct Scene {
 }
 
 /// Loads a Mitsuba scene file. `defines` are values for its `$names`; `allow_missing` substitutes mid-grey for missing
-/// textures; `sensor` is the one to look through, by its id or its number, instead of the first.
+/// textures; `sensor` is the one to look through, by its id or its number, instead of the first. What is ignored or substituted
+/// is warned of.
 #[pyfunction]
 #[pyo3(signature = (path, *, defines = None, allow_missing = false, sensor = None))]
 pub fn load(
@@ -50,9 +54,8 @@ pub fn load(
     sensor: Option<Bound<'_, PyAny>>,
 ) -> PyResult<Scene> {
     let options = options(defines, allow_missing, sensor)?;
-    Scene::made(work(py, 1, None, |_| {
-        Ok(render::Scene::load(&path, &options)?)
-    })?)
+    let read = apart(py, move || Ok(render::Scene::load(&path, &options)?))?;
+    loaded(py, read)
 }
 
 /// Loads a scene from the text of a Mitsuba scene file. File names in it are relative to `base`.
@@ -67,10 +70,20 @@ pub fn load_string(
     sensor: Option<Bound<'_, PyAny>>,
 ) -> PyResult<Scene> {
     let options = options(defines, allow_missing, sensor)?;
-    let base = base.as_deref().unwrap_or(Path::new(""));
-    Scene::made(work(py, 1, None, |_| {
-        Ok(render::Scene::from_xml(text, base, &options)?)
-    })?)
+    let (text, base) = (text.to_owned(), base.unwrap_or_default());
+    let read = apart(py, move || {
+        Ok(render::Scene::from_xml(&text, &base, &options)?)
+    })?;
+    loaded(py, read)
+}
+
+/// A scene from a file, after a warning of each of its warnings: few look at those without being told.
+fn loaded(py: Python<'_>, read: (render::Scene, Vec<String>)) -> PyResult<Scene> {
+    let scene = Scene::made(read)?;
+    for message in &scene.warnings {
+        warn::<PyUserWarning>(py, message)?;
+    }
+    Ok(scene)
 }
 
 /// A room to begin with, without any file: coloured walls on the left and right (`left.reflectance.value`,
@@ -111,7 +124,8 @@ fn options(
         defines,
         allow_missing,
         sensor: sensor.map(|s| sensor_name(&s)).transpose()?,
-        several_sensors: false,
+        // All that makes images or gradients can name another.
+        several_sensors: true,
     })
 }
 
@@ -196,9 +210,9 @@ fn repeats_from(repeats: &Bound<'_, PyAny>) -> PyResult<u32> {
     integer("repeats", [0, u32::MAX.into()], "", repeats)
 }
 
-/// A `RuntimeWarning`.
-fn warn(py: Python<'_>, message: String) -> PyResult<()> {
-    let category = py.get_type::<PyRuntimeWarning>();
+/// A warning of this kind.
+fn warn<Category: PyTypeInfo>(py: Python<'_>, message: &str) -> PyResult<()> {
+    let category = py.get_type::<Category>();
     PyErr::warn(py, category.as_any(), &CString::new(message)?, 1)
 }
 
@@ -212,7 +226,7 @@ fn warn_of(py: Python<'_>, bad: &NonFinite, width: usize, seed: u64) -> PyResult
         "{} samples were not finite and are left out; the first is sample {sample} of pixel ({x}, {y}) with seed {seed}",
         bad.count
     );
-    warn(py, message)
+    warn::<PyRuntimeWarning>(py, &message)
 }
 
 /// Warns of shapes of which samples of edges do not tell how they cross.
@@ -223,7 +237,7 @@ fn warn_of_doubts<N: AsRef<str>>(
     keys: &[N],
 ) -> PyResult<()> {
     let mut doubts = estimator.doubts(scene, keys).into_iter();
-    doubts.try_for_each(|doubt| warn(py, doubt))
+    doubts.try_for_each(|doubt| warn::<PyRuntimeWarning>(py, &doubt))
 }
 
 impl Scene {
@@ -489,6 +503,36 @@ impl Scene {
             scene.params().values()[info.range()].to_vec(),
             &shape(info),
         )
+    }
+
+    /// The parameter of this name as `scene[key]` has it, or `default` where there is none.
+    #[pyo3(signature = (key, default = None))]
+    fn get<'py>(
+        &self,
+        py: Python<'py>,
+        key: &str,
+        default: Option<Bound<'py, PyAny>>,
+    ) -> PyResult<Option<Bound<'py, PyAny>>> {
+        match self.__getitem__(py, key) {
+            Ok(value) => Ok(Some(value.into_any())),
+            Err(e) if e.is_instance_of::<PyKeyError>(py) => Ok(default),
+            Err(e) => Err(e),
+        }
+    }
+
+    /// The values of all parameters, as copies, in the order of their names.
+    fn values<'py>(&self, py: Python<'py>) -> PyResult<Vec<Bound<'py, PyArrayDyn<f32>>>> {
+        let scene = self.read()?;
+        let all = scene.params().values();
+        let infos = scene.params().infos().iter();
+        infos
+            .map(|info| array(py, all[info.range()].to_vec(), &shape(info)))
+            .collect()
+    }
+
+    /// The names of all parameters with their values, as copies.
+    fn items<'py>(&self, py: Python<'py>) -> PyResult<Vec<(String, Bound<'py, PyArrayDyn<f32>>)>> {
+        Ok(self.keys()?.into_iter().zip(self.values(py)?).collect())
     }
 
     fn __setitem__(&self, key: &str, value: Bound<'_, PyAny>) -> PyResult<()> {

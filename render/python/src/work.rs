@@ -2,6 +2,7 @@
 //! to stop.
 
 use std::any::Any;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::process;
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -47,13 +48,7 @@ pub fn work<T: Send>(
     progress: Option<&Py<PyAny>>,
     f: impl FnOnce(&dyn Progress) -> Result<T, Error> + Send,
 ) -> PyResult<T> {
-    static FIRST: OnceLock<u32> = OnceLock::new();
-    if *FIRST.get_or_init(process::id) != process::id() {
-        return Err(PyRuntimeError::new_err(
-            "this process was forked from one that has rendered, and its threads are not here; expected one that was \
-             started by `spawn`",
-        ));
-    }
+    refuse_forks()?;
     let watch = Watch::default();
     let report = |py: Python<'_>, part: f64| match progress {
         Some(progress) => progress.call1(py, (part,)).map(|_| ()),
@@ -92,6 +87,49 @@ pub fn work<T: Send>(
     let done = done.map_err(|panic| PyRuntimeError::new_err(said(panic.as_ref())))??;
     report(py, 1.0)?;
     Ok(done)
+}
+
+/// [`work`] that asks nobody whether it is wanted, such as reading files: after Ctrl-C it goes on by itself to its end, and its
+/// result is lost.
+///
+/// # Errors
+/// As there.
+pub fn apart<T: Send + 'static>(
+    py: Python<'_>,
+    f: impl FnOnce() -> Result<T, Error> + Send + 'static,
+) -> PyResult<T> {
+    refuse_forks()?;
+    let (end, ended) = channel();
+    thread::spawn(move || {
+        // Nobody may be there any more.
+        let _ = end.send(catch_unwind(AssertUnwindSafe(f)));
+    });
+    let done = py.detach(move || {
+        loop {
+            match ended.recv_timeout(PERIOD) {
+                Ok(done) => break PyResult::Ok(done),
+                Err(RecvTimeoutError::Timeout) => Python::attach(|py| py.check_signals())?,
+                Err(RecvTimeoutError::Disconnected) => {
+                    break Err(PyRuntimeError::new_err(
+                        "a thread has ended without a result",
+                    ));
+                }
+            }
+        }
+    })?;
+    Ok(done.map_err(|panic| PyRuntimeError::new_err(said(panic.as_ref())))??)
+}
+
+/// Threads are not there in a process that was forked from one that has started some.
+fn refuse_forks() -> PyResult<()> {
+    static FIRST: OnceLock<u32> = OnceLock::new();
+    if *FIRST.get_or_init(process::id) == process::id() {
+        return Ok(());
+    }
+    Err(PyRuntimeError::new_err(
+        "this process was forked from one that has rendered, and its threads are not here; expected one that was \
+         started by `spawn`",
+    ))
 }
 
 /// What a panic said.

@@ -43,6 +43,12 @@ def test_parameters_are_arrays_by_name(room: rg.Scene) -> None:
     assert room.info(WALL) == {"shape": (3,), "valid": (0.0, 1.0), "kind": "reflectances"}
     assert room.info(BALL)["shape"] == ()
     assert dict(room).keys() == set(room.keys())
+    for (key, value), other in zip(room.items(), room.values(), strict=True):
+        np.testing.assert_array_equal(value, room[key])
+        np.testing.assert_array_equal(value, other)
+    assert [key for key, _ in room.items()] == room.keys()
+    np.testing.assert_array_equal(room.get(WALL), room[WALL])
+    assert room.get("nothing") is None and room.get("nothing", 3) == 3
 
 
 def test_mistakes_about_parameters_are_named(room: rg.Scene) -> None:
@@ -140,7 +146,8 @@ def test_scene_files_load(tmp_path: Path) -> None:
     path.write_text(SCENE)
     with pytest.raises(ValueError, match=r"scene.xml:9: `filename`: expected an existing file .*`missing.png`"):
         rg.load(path)
-    scene = rg.load(str(path), defines={"grey": 0.25}, allow_missing=True)
+    with pytest.warns(UserWarning, match="scene.xml:9: .*missing.png"):
+        scene = rg.load(str(path), defines={"grey": 0.25}, allow_missing=True)
     assert scene.size == (4, 6) and len(scene.warnings) == 1 and "missing.png" in scene.warnings[0]
     assert scene.files[0] == path
     assert scene["sky.radiance.value"][0] == 0.25
@@ -263,7 +270,9 @@ VIEWS = """<scene version="3.0.0">
 
 
 def test_sensors_have_names_and_numbers() -> None:
-    scene = rg.load_string(VIEWS)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        scene = rg.load_string(VIEWS)
     assert scene.sensors == ["front", "side"] and scene.size == (4, 6)
     for sensor in ("side", 1):
         assert rg.load_string(VIEWS, sensor=sensor).size == (3, 2)

@@ -51,6 +51,42 @@ def test_ctrl_c_ends_work_within_a_second(room: rg.Scene, name: str) -> None:
     assert room.render(1).shape == (12, 16, 3)
 
 
+def test_ctrl_c_does_not_wait_for_files(tmp_path) -> None:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    n = 150
+    y, x = np.mgrid[:n, :n]
+    i = (y * n + x)[:-1, :-1].ravel()
+    faces = np.concatenate([np.stack([i, i + 1, i + n], 1), np.stack([i + 1, i + n + 1, i + n], 1)])
+    lines = [f"{a} {b} {a * b % 7}" for a, b in zip(x.ravel(), y.ravel())] + [f"3 {a} {b} {c}" for a, b, c in faces]
+    header = f"""ply
+format ascii 1.0
+element vertex {n * n}
+property float x
+property float y
+property float z
+element face {len(faces)}
+property list uchar int vertex_indices
+end_header
+"""
+    (tmp_path / "grid.ply").write_text(header + "\n".join(lines) + "\n")
+    shape = '<shape type="ply"><string name="filename" value="grid.ply"/></shape>'
+    text = f'<scene version="3.0.0"><sensor type="perspective"/><emitter type="constant"/>{shape * 200}</scene>'
+    (tmp_path / "scene.xml").write_text(text)
+    for load in (lambda: rg.load(tmp_path / "scene.xml"), lambda: rg.load_string(text, base=tmp_path)):
+        sent = []
+
+        def press() -> None:
+            sent.append(time.monotonic())
+            os.kill(os.getpid(), signal.SIGINT)
+
+        timer = threading.Timer(0.3, press)
+        timer.start()
+        with pytest.raises(KeyboardInterrupt):
+            load()
+        assert time.monotonic() - sent[0] < 1.0
+        timer.join()
+
+
 def test_progress_is_told_and_may_stop(room: rg.Scene) -> None:
     parts: list[float] = []
     room.render(2048, progress=parts.append)

@@ -133,6 +133,7 @@ pub use diffuse::{Diffuse, DiffuseLobe};
 pub use hair::{Absorption, Hair, HairLobe};
 pub(crate) use hair::{Along, Around, Fibre, Seen};
 pub use mask::Mask;
+pub(crate) use normal_map::CORRECTIONS;
 pub use normal_map::{EncodedNormals, Interpolation, NormalMap};
 pub use null::{Null, NullLobe};
 pub use plastic::{Coated, CoatedLobe, Plastic, PlasticLobe};

@@ -127,6 +127,7 @@ impl FromNode for NormalMap {
             substitute: &[0.5, 0.5, 1.0],
         };
         let child = node.child("normalmap").cloned();
+        let is_nested = child.is_some();
         let slopes = node.boolean_or("use_slopes", child.is_none())?;
         let map = match child {
             Some(child) => texture::from_plugin(registry, &child, &usage)?,
@@ -136,6 +137,10 @@ impl FromNode for NormalMap {
             flip: node.boolean_or("flip_invalid_normals", false)?,
             shadowing: node.boolean_or("use_shadowing_function", false)?,
         };
+        // Others that name a file themselves are of versions without corrections.
+        if is_nested && CORRECTIONS.iter().any(|key| !node.has(key)) {
+            node.warn(UNCORRECTED);
+        }
         // A prefiltered stand-in for the map, of no use to a path tracer that resolves it.
         node.ignore(&["lean_fallback"], Node::boolean)?;
         node.ignore(&["lean_fallback_alpha"], Node::float)?;
@@ -148,6 +153,11 @@ impl FromNode for NormalMap {
         Ok(Self::new(map, interpolation, nested)?.corrected(corrections))
     }
 }
+
+/// What asks for [`Corrections`], each by default in Mitsuba 3.9.
+pub(crate) const CORRECTIONS: [&str; 2] = ["flip_invalid_normals", "use_shadowing_function"];
+const UNCORRECTED: &str = "normals are as in the map where `flip_invalid_normals` and `use_shadowing_function` are not set; Mitsuba 3.9 \
+    turns those over that face away from the viewer, and shades where they are tilted, unless both are false";
 
 fn map_from_file(
     node: &Node,

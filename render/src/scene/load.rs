@@ -43,6 +43,11 @@ pub(super) const MAX_PIXELS: usize = 1 << 27;
 
 /// Integrators that the path tracer is.
 const INTEGRATORS: &[&str] = &["path", "direct", "prb"];
+/// Numbers of samples of the integrator `direct`, and what only these find.
+const TECHNIQUES: [(&str, &str); 2] = [
+    ("emitter_samples", "light of emitters without size"),
+    ("bsdf_samples", "light over mirrors and smooth glass"),
+];
 /// Films that tell apart when light arrives.
 const OVER_TIME: &[&str] = &["streakhdrfilm", "transient_hdr_film"];
 /// Of all of them only the number of samples is read, and of those of other names, too.
@@ -402,6 +407,10 @@ impl Reading {
         };
         let emitter = match emitter_node {
             Some(e) => {
+                if let Some(id) = &e.id {
+                    let params = self.build.registry().params_mut();
+                    params.answer_of_one(id, &format!("{name}.emitter"));
+                }
                 let next = self.build.shapes().len() as u32;
                 let read = self.emitter(e, &format!("{name}.emitter"), Some(next));
                 let read = read.and_then(|read| {
@@ -471,6 +480,10 @@ impl Reading {
         node.finish()?;
         let name = node.id.clone().unwrap_or_else(|| format!("shape{index}"));
         let parts = self.apart(group.children_with_tag("shape"))?;
+        let mut unnamed = (0..).map(|n| match n {
+            0 => "shape".to_owned(),
+            n => format!("shape_{n}"),
+        });
         for (i, part) in parts.into_iter().enumerate() {
             if matches!(part.plugin.as_str(), "instance" | "shapegroup") {
                 return Err(part.refused("groups of groups and of instances are"));
@@ -482,6 +495,15 @@ impl Reading {
                 return Err(emitter.refused("shapes of a group that emit, in its instances, are"));
             }
             let id = part.id.clone().unwrap_or_else(|| format!("shape{i}"));
+            // In Mitsuba the material is that of the group.
+            let theirs = part.id.clone().or_else(|| unnamed.next());
+            if let (Some(group), Some(theirs)) = (&group.id, theirs) {
+                let params = self.build.registry().params_mut();
+                params.answer(
+                    format!("{group}.{theirs}.bsdf"),
+                    &format!("{name}.{id}.bsdf"),
+                );
+            }
             self.part(node, part, format!("{name}.{id}"), &to_world, index)?;
         }
         Ok(())
@@ -688,8 +710,16 @@ fn integrator(mut node: &Node, settings: &mut Settings) -> Result<(), SceneError
         node.ignore_rest();
     }
     node.ignore(&["samples_per_pass", "block_size"], Node::integer)?;
-    let samples = ["shading_samples", "emitter_samples", "bsdf_samples"];
-    node.ignore(&samples, Node::integer)?;
+    for (key, lost) in TECHNIQUES {
+        if node.integer(key)? == Some(0) {
+            node.warn(format!(
+                "`{key}`: both techniques are used; {lost} is in the image, which is left out in Mitsuba where this is 0"
+            ));
+        } else {
+            node.ignore(&[key], Node::integer)?;
+        }
+    }
+    node.ignore(&["shading_samples"], Node::integer)?;
     node.ignore(&["timeout"], Node::float)?;
     node.finish()
 }

@@ -7,6 +7,7 @@ use std::sync::Arc;
 use super::Scene;
 use super::movable::What;
 use super::stand_ins::{WRAPPERS, stand_in};
+use crate::bsdf::CORRECTIONS;
 use crate::camera::{FovAxis, Optic};
 use crate::emitter::Emitter;
 use crate::error::SceneError;
@@ -136,8 +137,8 @@ impl Scene {
             found: found.to_owned(),
         };
         let source = self.source.as_ref();
-        let source =
-            source.ok_or_else(|| bad("scene", "one that was read from a file", "another"))?;
+        let source = source
+            .ok_or_else(|| bad("scene", "one that was read from a file", "one made by code"))?;
         for (id, values) in &source.fixed {
             let info = &self.params.infos()[*id as usize];
             if self.params.values()[info.range()] != values[..] {
@@ -344,6 +345,18 @@ fn alike(a: &Transform, b: &Transform) -> bool {
     numbers(a).iter().zip(&numbers(b)).all(close)
 }
 
+/// That the normals of a map are not corrected, where the file does not say it: in Mitsuba 3.9 they are by default.
+fn uncorrected(node: &Node) -> Vec<(String, Content)> {
+    let is_map =
+        node.tag == "bsdf" && node.plugin == "normalmap" && node.child("normalmap").is_some();
+    let missing = CORRECTIONS
+        .into_iter()
+        .filter(|key| is_map && !node.has(key));
+    missing
+        .map(|key| (key.to_owned(), Content::Boolean(false)))
+        .collect()
+}
+
 /// A few roundings of single precision.
 const ROUNDING: f64 = 4.0 * f32::EPSILON as f64;
 
@@ -456,6 +469,7 @@ impl Writing<'_> {
 impl Rewrite for Writing<'_> {
     fn values(&mut self, node: &Node) -> Vec<(String, Content)> {
         let mut out = self.moved(node);
+        out.extend(uncorrected(node));
         let substituted = self.substituted(self.inside(node));
         out.extend(substituted.into_iter().map(|(key, x)| (key.to_owned(), x)));
         let Some(origin) = self.origins.of(node) else {

@@ -20,6 +20,8 @@ use crate::math::each;
 use crate::plugin::{Attribute, Node, Registry};
 use crate::texture;
 
+mod text;
+
 /// Largest file in bytes.
 const MAX_BYTES: u64 = 1 << 32;
 /// Longest header in bytes.
@@ -43,6 +45,7 @@ const VERTEX: [(&str, usize); 14] = [
     ("texture_t", 7),
 ];
 const FACE: [&str; 2] = ["vertex_index", "vertex_indices"];
+const WHOLE_INDICES: &str = "indices of vertices that are whole numbers";
 
 /// A vertex, a face, or anything else that is read to get past it.
 struct Element {
@@ -135,33 +138,45 @@ impl File<'_> {
 
     /// The next element, which is number `i` of those that `def` describes.
     fn element(&mut self, def: &ElementDef, i: usize) -> Result<Element, Wrong> {
-        let expected = || format!("{} of {} `{}`", i + 1, def.count, def.name);
         let cursor = self.reader.get_mut();
         let read = match self.encoding {
-            Encoding::Ascii => {
-                let mut text = String::new();
-                self.line += 1;
-                match cursor.read_line(&mut text) {
-                    Ok(0) => return Err(wrong(expected(), "the end of the file")),
-                    Ok(_) => self.parser.read_ascii_element(text.trim(), def),
-                    Err(_) => {
-                        let found = "a line that is not in UTF-8".to_owned();
-                        return Err((Some(self.line), expected(), found));
-                    }
-                }
-            }
+            Encoding::Ascii => return self.line_of(def, i),
             Encoding::BinaryBigEndian => self.parser.read_big_endian_element(cursor, def),
             Encoding::BinaryLittleEndian => self.parser.read_little_endian_element(cursor, def),
         };
-        let text = self.encoding == Encoding::Ascii;
         read.map_err(|e| {
             // The first line of messages that quote the whole input.
             let message = e.to_string();
             let message = message.lines().last().unwrap_or_default().trim();
             let found = format!("an error: {}", quoted(message).trim_matches('`'));
-            (text.then_some(self.line), expected(), found)
+            wrong(called(def, i), found)
         })
     }
+
+    /// The same from a file that is text: on the next line that is not empty.
+    fn line_of(&mut self, def: &ElementDef, i: usize) -> Result<Element, Wrong> {
+        let of = called(def, i);
+        let mut line = String::new();
+        while line.trim().is_empty() {
+            line.clear();
+            self.line += 1;
+            match self.reader.get_mut().read_line(&mut line) {
+                Ok(0) => return Err(wrong(of, "the end of the file")),
+                Ok(_) => {}
+                Err(_) => {
+                    let found = "a line that is not in UTF-8".to_owned();
+                    return Err((Some(self.line), of, found));
+                }
+            }
+        }
+        text::element(&line, def, &of)
+            .map_err(|(expected, found)| (Some(self.line), expected, found))
+    }
+}
+
+/// What element number `i` of those that `def` describes is called in messages.
+fn called(def: &ElementDef, i: usize) -> String {
+    format!("{} {} of {}", quoted(&def.name), i + 1, def.count)
 }
 
 impl Mesh {
@@ -223,10 +238,10 @@ fn read(bytes: &[u8], options: &ObjOptions, attributes: bool) -> Result<Content,
     let parser = Parser::new();
     let mut reader = Reader::new(Cursor::new(bytes));
     let header = parser.read_header(&mut reader).map_err(|e| {
-        let message = e.to_string();
-        let message = message.lines().last().unwrap_or_default().trim();
-        let found = format!("an error: {}", quoted(message).trim_matches('`'));
         let line = e.line().and_then(|n| u32::try_from(n).ok());
+        let text = String::from_utf8_lossy(&bytes[..end]);
+        let said = line.and_then(|n| text.lines().nth(n.checked_sub(1)? as usize));
+        let found = said.map_or_else(|| "another".to_owned(), |said| quoted(said.trim()));
         (line, "a well-formed header".to_owned(), found)
     })?;
     let lines = bytes[..end].iter().filter(|b| **b == b'\n').count();
@@ -389,7 +404,14 @@ struct Has {
 fn check_header(header: &Header) -> Result<Has, Wrong> {
     let names = |element: &str| -> Result<Vec<&str>, Wrong> {
         let def = header.elements.get(element);
-        let def = def.ok_or_else(|| wrong(format!("the element `{element}`"), "none"))?;
+        let others = || {
+            let names: Vec<_> = header.elements.keys().map(|name| quoted(name)).collect();
+            match names.is_empty() {
+                true => "none".to_owned(),
+                false => names.join(", "),
+            }
+        };
+        let def = def.ok_or_else(|| wrong(format!("the element `{element}`"), others()))?;
         Ok(def.properties.keys().map(String::as_str).collect())
     };
     let vertex = names("vertex")?;

@@ -228,7 +228,14 @@ pub(crate) fn times(
     }
 }
 
-/// The texture that `node` describes; one that several places refer to has its parameters once.
+/// A texture that several places refer to, and what its parameters' names start with.
+struct Shared {
+    texture: RgbTexture,
+    name: String,
+}
+
+/// The texture that `node` describes; one that several places refer to has its parameters once, which answer to the names of
+/// all these places, and to its id.
 pub(crate) fn from_plugin<const C: usize>(
     registry: &mut Registry,
     node: &Arc<Node>,
@@ -240,12 +247,19 @@ pub(crate) fn from_plugin<const C: usize>(
         let serial = registry.attributes.as_ref().map_or(0, |a| a.serial);
         details[0] |= serial << 8;
     }
-    if let Some(texture) = registry.shared::<RgbTexture>(node, details) {
-        return Ok(texture.as_ref().clone().with_channels());
+    if let Some(shared) = registry.shared::<Shared>(node, details) {
+        (registry.params_mut()).answer(usage.name.to_owned(), &shared.name);
+        return Ok(shared.texture.clone().with_channels());
     }
     let texture: Texture<C> = described(registry, node, usage)?;
-    let shared: RgbTexture = texture.clone().with_channels();
+    let shared = Shared {
+        texture: texture.clone().with_channels(),
+        name: usage.name.to_owned(),
+    };
     registry.share(node, details, Arc::new(shared));
+    if let Some(id) = &node.id {
+        registry.params_mut().answer_of_one(id, usage.name);
+    }
     Ok(texture)
 }
 
@@ -464,6 +478,12 @@ fn checkerboard<const C: usize>(
     usage: &Use,
 ) -> Result<Texture<C>, SceneError> {
     let mut color = |key: &str, default: f64| -> Result<ParamRef, SceneError> {
+        if let Some(inside) = node
+            .child(key)
+            .filter(|t| t.tag == "texture" && !t.is_constant())
+        {
+            return Err(inside.refused("textures in a `checkerboard` are"));
+        }
         let mut value = constant_of::<C>(node, key)?.unwrap_or_else(|| vec![default; C]);
         raise(node, key, &mut value, usage.valid);
         let shape = match C {

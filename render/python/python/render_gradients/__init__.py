@@ -26,8 +26,10 @@ from ._native import (
     load,
     load_string,
     loss,
+    read_image,
     room,
     target_features,
+    write_image,
     z_limit,
 )
 from .comparison import Comparison, compare
@@ -47,9 +49,11 @@ __all__ = [
     "load",
     "load_string",
     "loss",
+    "read_image",
     "room",
     "target_features",
     "value_and_gradient",
+    "write_image",
     "z_limit",
 ]
 

@@ -225,8 +225,16 @@ fn material(plugins: &mut Plugins, index: usize) {
     }
 }
 
-/// The texture of a normal map had no name.
+/// The texture of a normal map had no name, and its normals were never corrected.
 fn map_of_normals(plugins: &mut Plugins, index: usize) {
+    let node = &mut plugins.nodes[index];
+    for name in ["flip_invalid_normals", "use_shadowing_function"] {
+        if !node.names.contains_key(name) {
+            let at = node.location.clone();
+            let off = Property::made("boolean", "false", Value::Boolean(false), &at);
+            put(node, name, off);
+        }
+    }
     let is_texture = |child: &RawChild| {
         let node = match child.target {
             Target::Node(node) => plugins.nodes.get(node),
