@@ -147,6 +147,27 @@ pub fn figure(fig: &mut Figure) -> Result {
             shown(lost[1])
         ),
     );
+    errors(fig, &measured);
+    let rows: Vec<[f64; 5]> = measured
+        .iter()
+        .map(|(_, m)| [m.success(), m.lit(), m.trials(), m.mean(), m.variance()])
+        .collect();
+    fig.csv(
+        "methods",
+        &["success_rate", "with_light", "trials", "mean", "variance"],
+        rows,
+    );
+    let panels = measured.iter();
+    let panels: Vec<Panel> = panels
+        .map(|(label, m)| m.panel(label, of(4), fig.pick(8, 4)))
+        .collect();
+    fig.images("methods", 4, &panels);
+    published(fig)
+}
+
+/// Where trial sets lose light, and which error is the largest in the same time.
+fn errors(fig: &mut Figure, measured: &[(&str, Measured)]) {
+    let of = |k: usize| &measured[k].1;
     let lost_where_noisy = where_noisy(of(2), of(5));
     fig.check(
         "what trial sets lose is where unbiased estimates are noisy",
@@ -166,21 +187,6 @@ pub fn figure(fig: &mut Figure) -> Result {
         errors[0] > worst,
         format!("sums of squares {errors:.3?}"),
     );
-    let rows: Vec<[f64; 5]> = measured
-        .iter()
-        .map(|(_, m)| [m.success(), m.lit(), m.trials(), m.mean(), m.variance()])
-        .collect();
-    fig.csv(
-        "methods",
-        &["success_rate", "with_light", "trials", "mean", "variance"],
-        rows,
-    );
-    let panels = measured.iter();
-    let panels: Vec<Panel> = panels
-        .map(|(label, m)| m.panel(label, of(4), fig.pick(8, 4)))
-        .collect();
-    fig.images("methods", 4, &panels);
-    published(fig)
 }
 
 /// The part of what is lost that is lost in those pixels, one half of all, where the unbiased estimate is noisier.
