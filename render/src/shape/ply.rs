@@ -406,9 +406,10 @@ fn check_header(header: &Header) -> Result<Has, Wrong> {
         let def = header.elements.get(element);
         let others = || {
             let names: Vec<_> = header.elements.keys().map(|name| quoted(name)).collect();
-            match names.is_empty() {
-                true => "none".to_owned(),
-                false => names.join(", "),
+            if names.is_empty() {
+                "none".to_owned()
+            } else {
+                names.join(", ")
             }
         };
         let def = def.ok_or_else(|| wrong(format!("the element `{element}`"), others()))?;
