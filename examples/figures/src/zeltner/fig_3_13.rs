@@ -7,7 +7,7 @@
 use render::scene::{Connections, Constraint, Method, Starts};
 
 use super::authors::{Authors, compare};
-use super::manifold_methods::{Effort, Measured, measure, single};
+use super::manifold_methods::{Effort, measure, single};
 use super::manifold_scenes::{bumpy, glass, half_ball};
 use crate::statistics::{Estimate, check_same};
 use examples::chart::Panel;
@@ -147,7 +147,6 @@ pub fn figure(fig: &mut Figure) -> Result {
             shown(lost[1])
         ),
     );
-    errors(fig, &measured);
     let rows: Vec<[f64; 5]> = measured
         .iter()
         .map(|(_, m)| [m.success(), m.lit(), m.trials(), m.mean(), m.variance()])
@@ -163,39 +162,6 @@ pub fn figure(fig: &mut Figure) -> Result {
         .collect();
     fig.images("methods", 4, &panels);
     published(fig)
-}
-
-/// Where trial sets lose light, and which error is the largest in the same time.
-fn errors(fig: &mut Figure, measured: &[(&str, Measured)]) {
-    let of = |k: usize| &measured[k].1;
-    let lost_where_noisy = where_noisy(of(2), of(5));
-    fig.check(
-        "what trial sets lose is where unbiased estimates are noisy",
-        lost_where_noisy > 0.6,
-        format!(
-            "{:.0} % of it in the half of the pixels with more noise",
-            100.0 * lost_where_noisy
-        ),
-    );
-    // In the time of the unbiased estimate by angles.
-    let errors: Vec<f64> = (measured.iter())
-        .map(|(_, m)| m.squared_bias(of(4)) + m.variance_after(of(2).seconds))
-        .collect();
-    let worst = errors[1..].iter().copied().fold(0.0, f64::max);
-    fig.check(
-        "a single start towards the lamp has the largest error in the same time",
-        errors[0] > worst,
-        format!("sums of squares {errors:.3?}"),
-    );
-}
-
-/// The part of what is lost that is lost in those pixels, one half of all, where the unbiased estimate is noisier.
-fn where_noisy(unbiased: &Measured, set: &Measured) -> f64 {
-    let pixels = unbiased.series.pixels.iter().zip(&set.series.pixels);
-    let mut each: Vec<[f64; 2]> = pixels.map(|(a, b)| [a.error, a.mean - b.mean]).collect();
-    each.sort_by(|a, b| b[0].total_cmp(&a[0]));
-    let lost = |pixels: &[[f64; 2]]| pixels.iter().map(|p| p[1]).sum::<f64>();
-    lost(&each[..each.len() / 2]) / lost(&each)
 }
 
 /// The ball of the authors, where it is.
