@@ -29,11 +29,9 @@ def jobs(scene: rg.Scene):
     }
 
 
-@pytest.mark.parametrize("name", ["render", "double", "backward", "auto", "forward", "check"])
-def test_ctrl_c_ends_work_within_a_second(room: rg.Scene, name: str) -> None:
+def ends_with_ctrl_c(job) -> None:
     # What is started in the background ignores it, and so do its children.
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    before = room["left.reflectance.value"]
     sent = []
 
     def press() -> None:
@@ -43,16 +41,21 @@ def test_ctrl_c_ends_work_within_a_second(room: rg.Scene, name: str) -> None:
     timer = threading.Timer(0.3, press)
     timer.start()
     with pytest.raises(KeyboardInterrupt):
-        jobs(room)[name]()
+        job()
     assert time.monotonic() - sent[0] < 1.0
     timer.join()
+
+
+@pytest.mark.parametrize("name", ["render", "double", "backward", "auto", "forward", "check"])
+def test_ctrl_c_ends_work_within_a_second(room: rg.Scene, name: str) -> None:
+    before = room["left.reflectance.value"]
+    ends_with_ctrl_c(jobs(room)[name])
     # Nothing is left behind.
     np.testing.assert_array_equal(room["left.reflectance.value"], before)
     assert room.render(1).shape == (12, 16, 3)
 
 
 def test_ctrl_c_does_not_wait_for_files(tmp_path) -> None:
-    signal.signal(signal.SIGINT, signal.default_int_handler)
     n = 150
     y, x = np.mgrid[:n, :n]
     i = (y * n + x)[:-1, :-1].ravel()
@@ -73,18 +76,7 @@ end_header
     text = f'<scene version="3.0.0"><sensor type="perspective"/><emitter type="constant"/>{shape * 200}</scene>'
     (tmp_path / "scene.xml").write_text(text)
     for load in (lambda: rg.load(tmp_path / "scene.xml"), lambda: rg.load_string(text, base=tmp_path)):
-        sent = []
-
-        def press() -> None:
-            sent.append(time.monotonic())
-            os.kill(os.getpid(), signal.SIGINT)
-
-        timer = threading.Timer(0.3, press)
-        timer.start()
-        with pytest.raises(KeyboardInterrupt):
-            load()
-        assert time.monotonic() - sent[0] < 1.0
-        timer.join()
+        ends_with_ctrl_c(load)
 
 
 def test_progress_is_told_and_may_stop(room: rg.Scene) -> None:

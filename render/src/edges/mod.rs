@@ -22,7 +22,7 @@ use std::collections::HashMap;
 use ad_core::{Float, Vec2, Vec3};
 
 pub(crate) use eye::Eye;
-pub(crate) use tree::Seeker;
+pub(crate) use tree::{Dice, Seeker};
 
 use crate::accel::{Hit, SEAM};
 use crate::math::Ray;

@@ -354,7 +354,7 @@ impl Node {
 }
 
 /// A random number that decides more than once.
-pub(super) struct Dice(f64);
+pub(crate) struct Dice(f64);
 
 impl Dice {
     pub fn new(u: f64) -> Self {
@@ -362,7 +362,7 @@ impl Dice {
     }
 
     /// Which of these weights is chosen, and its probability; `None` if all are zero.
-    fn choose(&mut self, weights: &[f64]) -> Option<(usize, f64)> {
+    pub fn choose(&mut self, weights: &[f64]) -> Option<(usize, f64)> {
         let total: f64 = weights.iter().sum();
         if !(total > 0.0 && total.is_finite()) {
             return None;

@@ -240,22 +240,28 @@ fn towards_camera<P: Float>(pinhole: &Pinhole<P>, p: Vec3<P>) -> Option<(Vec3<P>
 }
 
 impl<R: Real, X: Sampler> Particle<R, X> {
-    /// Sends a particle from one of the emitters. Without emitters, or where nothing is emitted, it
-    /// has ended already.
-    #[inline]
-    pub fn new<O: ParticleObserver<R>>(context: &Context<R>, sampler: X, observer: &mut O) -> Self {
-        let scene = context.scene;
-        let mut this = Self {
+    /// Without a ray to trace, after so many edges.
+    #[inline(always)]
+    fn waiting(sampler: X, beta: Rgb<R>, depth: u32) -> Self {
+        Self {
             ray: None,
             shadow: None,
             value: Rgb::black(),
             film: [R::Primal::zero(); 2],
             pending: None,
             sampler,
-            beta: Rgb::black(),
+            beta,
             roulette_weight: R::Primal::one(),
-            depth: 0,
-        };
+            depth,
+        }
+    }
+
+    /// Sends a particle from one of the emitters. Without emitters, or where nothing is emitted, it
+    /// has ended already.
+    #[inline]
+    pub fn new<O: ParticleObserver<R>>(context: &Context<R>, sampler: X, observer: &mut O) -> Self {
+        let scene = context.scene;
+        let mut this = Self::waiting(sampler, Rgb::black(), 0);
         let n = scene.emitters().len();
         if n == 0 {
             return this;
@@ -559,8 +565,8 @@ impl<R: Real, X: Sampler> Particle<R, X> {
 }
 
 impl<R: Real, X: Sampler> Particle<R, X> {
-    /// What goes on from the first surface of a particle that arrives there with `beta`; the camera sees that some other way.
-    /// The numbers of a start have been drawn from `sampler`.
+    /// What goes on from the first surface of a particle that arrives there with `beta`, where paths have more than two edges; the
+    /// camera sees that surface some other way. The numbers of a start have been drawn from `sampler`.
     pub(super) fn scattered(
         context: &Context<R>,
         ray: &Ray<R::Primal>,
@@ -568,20 +574,8 @@ impl<R: Real, X: Sampler> Particle<R, X> {
         beta: Rgb<R>,
         sampler: X,
     ) -> Self {
-        let mut this = Self {
-            ray: None,
-            shadow: None,
-            value: Rgb::black(),
-            film: [R::Primal::zero(); 2],
-            pending: None,
-            sampler,
-            beta,
-            roulette_weight: R::Primal::one(),
-            depth: 1,
-        };
-        if context.settings.max_depth > 2 {
-            this.scatter(context, &Here::new(context, ray, hit), false, &mut ());
-        }
+        let mut this = Self::waiting(sampler, beta, 1);
+        this.scatter(context, &Here::new(context, ray, hit), false, &mut ());
         this
     }
 
@@ -637,14 +631,8 @@ impl<R: Real, X: Sampler> Particle<R, X> {
             let d = si.frame.to_world(sample.wi);
             let particle = Particle::<R::Primal, X> {
                 ray: Some(si.spawn_ray(d, scene.exit(hit.prim))),
-                shadow: None,
-                value: Rgb::black(),
-                film: self.film,
-                pending: None,
-                sampler,
-                beta: Rgb::splat(R::Primal::one()),
                 roulette_weight: self.roulette_weight,
-                depth: self.depth,
+                ..Particle::waiting(sampler, Rgb::splat(R::Primal::one()), self.depth)
             };
             let mut w = Rgb::black();
             particle.finish(&still, &mut |at, value| {

@@ -470,7 +470,8 @@ impl Geometry {
 
     /// What rays meet where there are no lamps. Primitives, surfaces and hits are those of `accel`.
     pub fn without_lamps(&self, infos: &[ShapeInfo], camera: &Camera) -> &Accel {
-        // As for crossings: it is threads at work that ask.
+        // It is threads at work that ask: the one that makes it takes no other work meanwhile, which could ask for it, too, and wait
+        // for itself.
         let make = || parallel::alone(|| self.others(infos, camera));
         // The same primitives have been accepted before.
         (self.without_lamps).get_or_init(|| make().unwrap_or_else(|_| self.accel.clone()))

@@ -573,8 +573,9 @@ impl Scene {
 
     /// Whether the estimator has terms for all outlines that move with this parameter, where paths have up to `max_depth`
     /// edges, if it has any. Where directions follow outlines, they slide over everything: no texture may jump then. Shadows of
-    /// lights that no scattered light meets are drawn from the light, if it is a point or a spot, for samples of edges alone;
-    /// what else they fall on than what the camera sees is for particles, which know pinholes and normals as they are. Directions that follow points of the film need a pixel filter whose derivative has
+    /// lights that no scattered light meets are drawn from the light, if it is a point or a spot, for samples of edges alone.
+    /// Where the camera does not see what they fall on, particles go on from there, which know neither lenses nor normals that
+    /// are flipped to the viewer. Directions that follow points of the film need a pixel filter whose derivative has
     /// samples, a box or a Gaussian, and rays that leave one point of the camera's lens.
     ///
     /// # Errors

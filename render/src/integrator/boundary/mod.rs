@@ -31,6 +31,7 @@ use std::f64::consts::TAU;
 use std::ops::Range;
 
 use ad_core::{Const, Float, Vec3};
+use smallvec::SmallVec;
 
 use self::form::{Contribution, Form, Mover, Moving, Term, hit_at};
 use self::shadows::Lights;
@@ -50,7 +51,7 @@ use crate::camera::{CameraSample, Viewer};
 use crate::edges::Inside;
 use crate::edges::crossing::Crossings;
 use crate::edges::film::{FilmCurves, FilmPoint, Sides};
-use crate::edges::{EdgePoint, Edges, Eye, Seeker, Surfaces};
+use crate::edges::{Dice, EdgePoint, Edges, Eye, Seeker, Surfaces};
 use crate::emitter::{AnyEmitter, Emitter};
 use crate::estimator::Strategy;
 use crate::math::{Frame, NOWHERE, Ray, RayAdjoint, Rgb, Segment};
@@ -741,7 +742,7 @@ impl<'a, P: Float> Boundary<'a, P> {
     ) -> Option<(u32, f64)> {
         let scene = self.context.scene;
         let found = self.shadows.any() && scene.infinite_emitters().is_empty();
-        let share = |(depth, (beta, here)): (u32, &(Rgb<P>, Place<P>))| {
+        let share = |((beta, here), depth): (&(Rgb<P>, Place<P>), u32)| {
             let brings = if scene.shape_info(here.shape).delta {
                 0.0
             } else if depth == 1 && found {
@@ -753,24 +754,11 @@ impl<'a, P: Float> Boundary<'a, P> {
             brings * beta.into_iter().fold(0.0, f64::max)
         };
         let see = self.context.settings.max_depth.saturating_sub(1) as usize;
-        let shares = || {
-            (1..)
-                .zip(vertices.0.iter().take(see))
-                .map(|v| (v.0, share(v)))
-        };
-        let total: f64 = shares().map(|(_, share)| share).sum();
+        let looking = vertices.0.iter().take(see).zip(1..);
+        let shares: SmallVec<[f64; 8]> = looking.map(share).collect();
         sampler.seek(Purpose::Vertex.at(1));
-        let mut rest = sampler.next_1d::<f64>() * total;
-        let mut chosen = None;
-        for (depth, share) in shares().filter(|(_, share)| *share > 0.0) {
-            // The last one, if rounding leaves a rest.
-            chosen = Some((depth, total / share));
-            rest -= share;
-            if rest < 0.0 {
-                break;
-            }
-        }
-        chosen
+        let (chosen, p) = Dice::new(sampler.next_1d()).choose(&shares)?;
+        Some((chosen as u32 + 1, p.recip()))
     }
 }
 

@@ -10,9 +10,10 @@
 //! it sees; the ray goes on to the receiver, and that is connected to the camera. No sample looks for a lamp that may be
 //! small, and lights that are points are no special case: they have no area to choose from.
 //!
-//! From a receiver light goes on by scattering, and each surface that it comes to may be what the camera sees. Lights that have an area
-//! leave that to paths, whose later vertices look for edges before them; where a light is a point, no path would find any,
-//! and the receiver sends a [particle](super::super::particle). It stays on its material then: nothing on the film is followed.
+//! From a receiver light goes on by scattering, and each surface that it comes to may be what the camera sees. Lights that
+//! have an area leave that to paths, whose later vertices look for edges before them; where a light is a point, no path
+//! would find any, and the receiver sends a [particle](super::super::particle). It stays on its material then: nothing on
+//! the film is followed.
 //!
 //! # Does not handle
 //! Environments and directional lights; receivers that the camera sees in others before lights with an area, which paths look
