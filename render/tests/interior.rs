@@ -738,7 +738,7 @@ fn deltas_and_jumps_are_refused_by_name() {
 }
 
 /// What has no terms is refused by name, with what is in the way: brushed metal whose axes jump on smooth faces, lamps that send
-/// beams, shapes that cross each other where directions follow closed forms, and shadows of projectors.
+/// beams, shapes that cross each other where directions follow closed forms, and images in light that jump.
 #[test]
 fn what_has_no_terms_is_refused_by_name() {
     let folder = tempfile::tempdir().unwrap();
@@ -766,7 +766,7 @@ fn what_has_no_terms_is_refused_by_name() {
     let other = r#"<shape type="cube" id="other"><transform name="to_world"><rotate x="1" y="2" angle="30"/>
         <translate x="1"/></transform></shape>"#;
     let slide = r#"<emitter type="projector"><transform name="to_world"><lookat origin="0, 0, 9" target="0, 0, 0"
-        up="0, 1, 0"/></transform><float name="fov" value="40"/><rgb name="irradiance" value="1"/></emitter>
+        up="0, 1, 0"/></transform><float name="fov" value="40"/><texture name="irradiance" type="checkerboard"/></emitter>
         <shape type="rectangle"><transform name="to_world"><translate z="-3"/></transform></shape>"#;
     let sky = r#"<emitter type="constant"/>"#;
     for (e, body, culprit) in [
@@ -784,7 +784,7 @@ fn what_has_no_terms_is_refused_by_name() {
         (
             Estimator::Edges,
             [cube, slide],
-            "shadows of directional lights and projectors have outlines without samples",
+            "colours an image that jumps where things slide through its light",
         ),
     ] {
         let text = format!(

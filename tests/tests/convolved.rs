@@ -245,7 +245,7 @@ fn what_is_not_covered_is_refused() {
     };
     let point = r#"<emitter type="point"><point name="position" x="0" y="4" z="0"/></emitter>"#;
     let plain = PixelFilter::Box;
-    refused(point, plain, &["it.translation", "point and spot lights"]);
+    refused(point, plain, &["it.translation", "lights without area"]);
     let tent = PixelFilter::Tent { radius: 1.0 };
     refused("", tent, &["it.translation", "box or a Gaussian"]);
     let squares = r#"<shape type="rectangle" id="squares"><bsdf type="diffuse"><texture type="checkerboard"

@@ -242,6 +242,15 @@ const BULB: &str = r#"<emitter type="point" id="bulb"><point name="position" x="
 const TORCH: &str = r#"<emitter type="spot" id="torch"><transform name="to_world">
     <lookat origin="1.5, 3, 1" target="0, 0.5, 0" up="0, 0, 1"/></transform>
     <float name="cutoff_angle" value="40"/><rgb name="intensity" value="8, 9, 10"/></emitter>"#;
+const SUN: &str = r#"<emitter type="directional" id="sun"><vector name="direction" x="0.4" y="-1" z="-0.3"/>
+    <rgb name="irradiance" value="2, 1.8, 1.6"/></emitter>"#;
+/// What it throws ends on the floor, and on what stands there.
+const PROJECTOR: &str = r#"<emitter type="projector"><transform name="to_world">
+    <lookat origin="1.5, 4, 1.5" target="0.2, 0.5, 0" up="0, 0, 1"/></transform><float name="fov" value="24"/>
+    IMAGE</emitter>"#;
+/// Glossy, behind what moves.
+const WALL: &str = r#"<shape type="rectangle"><transform name="to_world"><scale value="5"/><translate z="-1.6"/></transform>
+    <bsdf type="roughconductor"><float name="alpha" value="0.4"/></bsdf></shape>"#;
 const PLATE: &str = r#"<shape type="rectangle" id="it"><transform name="to_world"><scale x="0.8" y="0.6"/>
     <rotate x="1" angle="-60"/><rotate y="1" angle="20"/><translate y="1.1"/></transform>
     <bsdf type="twosided"><ref id="grey"/></bsdf></shape>"#;
@@ -500,9 +509,7 @@ fn outlines_that_are_followed_exactly() {
 fn all_shapes_through_five_bounces() {
     let dir = tempfile::tempdir().expect("a folder");
     let folder = dir.path();
-    let wall = r#"<shape type="rectangle"><transform name="to_world"><scale value="5"/><translate z="-1.6"/></transform>
-        <bsdf type="roughconductor"><float name="alpha" value="0.4"/></bsdf></shape>"#;
-    let room = format!("{FLOOR}{LAMP}{wall}");
+    let room = format!("{FLOOR}{LAMP}{WALL}");
     let grey = r#"<ref id="grey"/>"#;
     let turn = r#"<rotate y="1" angle="25"/><rotate x="1" angle="20"/>"#;
     let faces = octahedron(folder, false, turn, grey);
@@ -525,8 +532,57 @@ fn all_shapes_through_five_bounces() {
     };
     let mut cases = Vec::from(cases.map(of));
     // No path finds what edges hide of these: light goes on from where their shadows end.
-    let lights = format!("{FLOOR}{BULB}{TORCH}{wall}{CUBE}");
+    let lights = format!("{FLOOR}{BULB}{TORCH}{WALL}{CUBE}");
     let moves = ["it.translation", "bulb.position", "torch.position"];
     cases.push(case_of_depth(6, "lights", &lights, &moves, &[EDGES]));
     compare_all(cases);
+}
+
+/// Shadows of parallel light, of projectors and of beams, and where those end: on what stands still, and on what moves.
+#[test]
+fn lights_that_no_path_meets() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let beam = |shape: &str, scale: &str| {
+        format!(
+            r#"<shape type="{shape}" id="beam"><transform name="to_world"><scale value="{scale}"/>
+            <rotate x="1" angle="90"/><rotate z="1" angle="15"/><translate x="0.3" y="4" z="0.2"/></transform>
+            <emitter type="directionalarea"><rgb name="radiance" value="2, 2.5, 3"/></emitter></shape>"#
+        )
+    };
+    let turn = r#"<rotate y="1" angle="25"/><rotate x="1" angle="20"/>"#;
+    let smooth = octahedron(dir.path(), true, turn, r#"<ref id="grey"/>"#);
+    let seen = ["it.translation", "floor.rotation", "sensor.translation"];
+    let body = ["it.translation", "it.rotation", "floor.translation"];
+    let points = ["it.vertex_positions", "floor.rotation"];
+    let [square, disk] =
+        [("rectangle", "1"), ("disk", "0.9")].map(|(shape, scale)| beam(shape, scale));
+    let image = bitmap(dir.path(), "irradiance", [4, 3], 8.0, 5.0);
+    let (sun, projector) = (SUN.to_owned(), PROJECTOR.replace("IMAGE", &image));
+    let cases = [
+        ("sun, cube", 2, &sun, CUBE, &body[..]),
+        ("sun, ball", 2, &sun, BALL, &seen),
+        ("sun, tube", 2, &sun, TUBE, &body),
+        ("sun, disk", 2, &sun, DISK, &body),
+        ("sun, smooth faces", 2, &sun, &smooth, &points),
+        ("sun, five bounces", 6, &sun, CUBE, &body),
+        ("projector, cube", 2, &projector, CUBE, &body),
+        ("projector, ball", 2, &projector, BALL, &seen),
+        ("projector, five bounces", 6, &projector, CUBE, &body),
+        ("square beam, cube", 2, &square, CUBE, &body),
+        ("square beam, smooth faces", 2, &square, &smooth, &points),
+        ("round beam, ball", 2, &disk, BALL, &seen),
+        ("round beam, five bounces", 6, &disk, CUBE, &body),
+    ];
+    let of =
+        |(what, depth, light, it, moves): (&'static str, u32, &String, &str, &[&'static str])| {
+            let wall = if depth > 2 { WALL } else { "" };
+            case_of_depth(
+                depth,
+                what,
+                &format!("{FLOOR}{wall}{light}{it}"),
+                moves,
+                &[EDGES],
+            )
+        };
+    compare_all(cases.map(of).into());
 }

@@ -116,7 +116,7 @@ fn odd_places_are_finite_or_named() {
                 }
                 Err(e) => {
                     let message = e.to_string();
-                    let named = "shadows of point and spot lights have outlines without samples";
+                    let named = "shadows of lights without area have outlines without samples";
                     assert!(message.contains(named), "{what} {k}: {message}");
                     assert!(k >= 2 && what.starts_with("bulb"), "{what} {k}: {message}");
                 }

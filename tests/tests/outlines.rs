@@ -516,41 +516,19 @@ fn the_interior_alone_is_noticed() {
     );
 }
 
-/// Shadows of lights far away have outlines that no edge is drawn for: they are refused by name, in both modes. Those of a bulb
-/// have samples where light bounces, too, and both modes are one map.
+/// Shadows of lights without area have samples where light bounces, too: both modes are one map.
 #[test]
-fn shadows_of_the_sun_are_refused() {
-    let light = r#"<emitter type="point"><point name="position" x="0" y="4" z="0"/></emitter>"#;
-    let sun =
-        r#"<emitter type="directional"><vector name="direction" x="0" y="-1" z="0"/></emitter>"#;
-    let names = ["it.translation"];
-    let mut s = scene(&format!("{FLOOR}{CUBE}{sun}"), 3);
-    s.make_movable(&names).expect("known");
-    let info = s.params().find(names[0]).expect("known");
-    for depth in [2, 3] {
-        let refused = s.admits_outlines::<ByEdges>(info, depth);
-        let message = refused.expect_err("refused").to_string();
-        assert!(message.contains("directional lights"), "{message}");
+fn shadows_that_bounce_are_one_map_in_both_modes() {
+    let bulb = r#"<emitter type="point"><point name="position" x="0" y="4" z="0"/></emitter>"#;
+    let sun = r#"<emitter type="directional"><vector name="direction" x="0.2" y="-1" z="0.1"/></emitter>"#;
+    let projector = r#"<emitter type="projector"><transform name="to_world"><lookat origin="1, 4, 1" target="0, 0.5, 0"
+        up="0, 0, 1"/></transform><float name="fov" value="24"/></emitter>"#;
+    for (what, light) in [("bulb", bulb), ("sun", sun), ("projector", projector)] {
+        let names = ["it.translation"];
+        let mut s = scene(&format!("{FLOOR}{CUBE}{light}"), 4);
+        s.make_movable(&names).expect("known");
+        moving::modes_are_one_map::<ByEdges>(what, &s, &names);
     }
-    let all = values::<f32>(&s);
-    let theta = Theta::constant(&all);
-    let active = Active::seen_by::<ByEdges, _>(&s, &names).expect("seen");
-    let job = Job::new(&s, &s.settings, 0, 0..1, &());
-    let adjoint = mean_adjoint(&s);
-    let refused = Estimator::Edges.backward_f32(&job, &theta, &active, &adjoint);
-    let message = refused.expect_err("refused").to_string();
-    assert!(
-        message.contains("it.translation") && message.contains("directional lights"),
-        "{message}"
-    );
-    let direction = Direction::uniform(s.params(), names[0]);
-    let along = [direction.expect("known")];
-    let refused = Estimator::Edges.forward_f32(&job, s.params().values(), &along);
-    assert_eq!(refused.expect_err("refused").to_string(), message);
-
-    let mut s = scene(&format!("{FLOOR}{CUBE}{light}"), 4);
-    s.make_movable(&names).expect("known");
-    moving::modes_are_one_map::<ByEdges>("bulb", &s, &names);
 }
 
 /// A convex body under a sky hides no light from itself: all that there is are its outlines on the film, at any depth. 32 x 32

@@ -74,11 +74,11 @@ impl Eye {
         }
     }
 
-    /// The sine of the angle that a ball of this radius covers, half of it, if it is as far away as this vector is long.
+    /// The sine of half the angle that a ball of this radius covers at this distance.
     #[inline(always)]
-    pub fn sine(&self, radius: f64, to: Vec3<f64>) -> f64 {
+    pub fn sine(&self, radius: f64, distance: f64) -> f64 {
         match self {
-            Self::Point { .. } => radius / to.length(),
+            Self::Point { .. } => radius / distance,
             Self::Parallel { .. } => 0.0,
         }
     }

@@ -231,14 +231,7 @@ impl Edges {
             View::Outline(k) => (k, Sides::Outline(inside(k))),
             View::Crease => (0, Sides::Crease(inside(0), inside(1))),
         };
-        let face = edge.faces[front];
-        let rim = Rim {
-            p: edge.start() + edge.along() * s,
-            tangent: edge.along(),
-            into: lift3(edge.into[front]),
-            spot: Spot::At(face.local, face.at(s)[0]),
-        };
-        Some((rim, edge.shape, sides))
+        Some((edge.rim(s, front), edge.shape, sides))
     }
 
     fn film_turn(&self, i: usize, s: f64, eye: &Eye) -> Option<(Rim, u32, Sides)> {

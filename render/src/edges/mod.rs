@@ -252,6 +252,17 @@ impl Edge {
         lift3::<f64>(self.ends[1]) - self.start()
     }
 
+    /// The point at a part of its length, of one of its faces.
+    fn rim(&self, part: f64, face: usize) -> Rim {
+        let Face { local, .. } = self.faces[face];
+        Rim {
+            p: self.start() + self.along() * part,
+            tangent: self.along(),
+            into: lift3(self.into[face]),
+            spot: Spot::At(local, self.faces[face].at(part)[0]),
+        }
+    }
+
     /// What the faces look like to an eye, and the unit vector at right angles to what sees the edge: out of the first
     /// face. `None` if nothing jumps, or the edge is seen as a point.
     fn view(&self, eye: &Eye, more: &[[f32; 3]]) -> Option<(View, Vec3<f64>)> {
@@ -331,9 +342,9 @@ impl Curve {
 
     /// Unit vector and radius over distance; `None` inside, where rounding counts as such, and along the axis of a tube.
     fn outside(&self, eye: &Eye, to: Vec3<f64>) -> Option<(Vec3<f64>, f64)> {
-        let sine = eye.sine(self.radius, to);
-        let across = to.length() > 1e-9;
-        (sine < 1.0 - 1e-5 && across).then(|| (to.normalize(), sine))
+        let distance = to.length();
+        let sine = eye.sine(self.radius, distance);
+        (sine < 1.0 - 1e-5 && distance > 1e-9).then(|| (to.normalize(), sine))
     }
 
     /// How long it is.
@@ -371,6 +382,12 @@ impl Rim {
             spot: self.spot,
         };
         Some((point, speed))
+    }
+
+    /// As an eye sees it where its parameter is drawn uniformly.
+    fn drawn(&self, eye: &Eye, shape: u32) -> Option<EdgePoint> {
+        let (point, weight) = self.seen(eye, shape)?;
+        Some(EdgePoint { weight, ..point })
     }
 }
 

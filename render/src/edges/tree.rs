@@ -130,11 +130,10 @@ pub(super) struct Tree {
     items: Vec<u32>,
 }
 
-/// The point from which outlines are looked for, and what matters there.
+/// From where outlines are looked for, and what matters there.
 pub(crate) struct Seeker<'a> {
-    /// The point of view.
-    pub from: Vec3<f64>,
-    /// Its normal; light from below counts little, if any does.
+    pub eye: Eye,
+    /// The normal of a point of view; light from below counts little, if any does.
     pub normal: Vec3<f64>,
     /// All that emits is in these balls; `None` if it is everywhere.
     pub lamps: Option<&'a [Ball]>,
@@ -148,8 +147,7 @@ impl Seeker<'_> {
     /// The lamps as they are seen from there.
     pub fn cones(&self) -> SmallVec<[Cone; 4]> {
         let cone = |ball: &Ball| {
-            let to = Vec3::from(ball.centre) - self.from;
-            let distance = to.length();
+            let (axis, distance) = self.eye.sight(ball.centre.into());
             if distance <= ball.radius * 1.001 {
                 return Cone {
                     axis: self.normal,
@@ -157,7 +155,7 @@ impl Seeker<'_> {
                 };
             }
             Cone {
-                axis: to * distance.recip(),
+                axis,
                 // A little more, for rounding.
                 angle: Angle::new((ball.radius / distance).min(1.0).asin() * 1.001 + 1e-6),
             }
@@ -322,15 +320,13 @@ impl Node {
 
     /// How much it may bring; zero only if nothing.
     fn importance(&self, seeker: &Seeker, lamps: &[Cone]) -> f64 {
-        let to = lift3::<f64>(self.centre) - seeker.from;
         let radius = f64::from(self.radius);
-        let distance = to.length();
+        let (d, distance) = seeker.eye.sight(lift3(self.centre));
         let near = distance <= radius;
         let (d, spread) = if near {
             (seeker.normal, Angle::HALF_TURN)
         } else {
-            let near = distance.recip();
-            (to * near, Angle::of_sine(radius * near))
+            (d, Angle::of_sine(seeker.eye.sine(radius, distance)))
         };
         let [cos, sin] = self.angle.map(f64::from);
         let around = Angle { cos, sin }.plus(spread);
@@ -441,10 +437,7 @@ impl Edges {
     fn strip(&self, item: usize, seeker: &Seeker) -> f64 {
         let (length, middle, shape) = match self.straight.get(item) {
             Some(edge) => {
-                if !matches!(
-                    self.view(item, &Eye::point(seeker.from)),
-                    Some((View::Outline(_), _))
-                ) {
+                if !matches!(self.view(item, &seeker.eye), Some((View::Outline(_), _))) {
                     return 0.0;
                 }
                 let along = edge.along();
@@ -455,17 +448,13 @@ impl Edges {
                 (curve.length(), curve.origin, curve.shape)
             }
         };
-        let near = (middle - seeker.from).length().max(0.5 * length);
+        let near = seeker.eye.sight(middle).1.max(0.5 * length);
         length / near * (seeker.interest)(shape..shape + 1)
     }
 
     fn draw_curve(&self, curve: usize, seeker: &Seeker, u: f64) -> Option<EdgePoint> {
         let curve = &self.curves[curve];
-        let eye = Eye::point(seeker.from);
-        let rim = curve.rim(u, &eye)?;
-        let (mut point, speed) = rim.seen(&eye, curve.shape)?;
-        point.weight = speed;
-        Some(point)
+        curve.rim(u, &seeker.eye)?.drawn(&seeker.eye, curve.shape)
     }
 
     fn draw_straight(
@@ -476,10 +465,13 @@ impl Edges {
         [choice, u]: [f64; 2],
     ) -> Option<EdgePoint> {
         let edge = &self.straight[item];
-        let Some((View::Outline(front), normal)) = self.view(item, &Eye::point(seeker.from)) else {
+        let Some((View::Outline(front), normal)) = self.view(item, &seeker.eye) else {
             return None;
         };
-        let [a, b] = [edge.start(), edge.start() + edge.along()].map(|p| p - seeker.from);
+        let Eye::Point { at: from, .. } = seeker.eye else {
+            return edge.rim(u, front).drawn(&seeker.eye, edge.shape);
+        };
+        let [a, b] = [edge.start(), edge.start() + edge.along()].map(|p| p - from);
         let start = a.normalize();
         let plane = a.cross(b);
         let length = plane.length().atan2(a.dot(b));
@@ -555,7 +547,7 @@ impl Edges {
         Some(EdgePoint {
             p,
             direction,
-            distance: (p - seeker.from).length(),
+            distance: (p - from).length(),
             normal,
             weight: density.recip(),
             shape: edge.shape,

@@ -3,7 +3,7 @@
 use ad_core::{Float, Real, Vec3};
 
 use super::point::constant_colour;
-use super::{Emission, Emitter, EmitterSample, Lights};
+use super::{Emission, Emitter, EmitterSample, Lights, Rays};
 use crate::error::SceneError;
 use crate::plugin::{FromNode, Node, Registry};
 use crate::shape::{SurfaceInteraction, lift3};
@@ -48,6 +48,10 @@ impl Emitter for Directional {
             P::one(),
             Emission::whole(),
         ))
+    }
+
+    fn rays(&self, _: Lights) -> Option<Rays> {
+        Some(Rays::Along(lift3(self.direction).normalize()))
     }
 
     fn is_delta(&self) -> bool {

@@ -163,6 +163,32 @@ pub struct EmittedRay<P> {
     pub emission: Emission<P>,
 }
 
+/// How a Dirac delta sends light.
+#[derive(Clone, Copy, Debug)]
+pub enum Rays {
+    /// From this point, world space.
+    From([f32; 3]),
+    /// Along this unit direction, world space.
+    Along(Vec3<f64>),
+}
+
+/// How far inside of their borders, relative to their size, lights are looked at.
+const INSIDE_BORDER: f64 = 1e-5;
+
+/// A point just inside of where the light of a Dirac delta ends: across that it jumps.
+#[derive(Clone, Copy, Debug)]
+pub struct Border<P> {
+    /// From the light along its border, world space.
+    pub ray: Ray<P>,
+    /// Unit vector across the ray and the border, towards the light.
+    pub inside: Vec3<f64>,
+    /// The change of the point with the number that it is chosen with: of its direction, in radians, where light comes from a
+    /// point.
+    pub length: f64,
+    /// What goes along the ray: of points, per solid angle.
+    pub emission: Emission<P>,
+}
+
 impl<P: Float> EmittedRay<P> {
     /// What the emitted radiance is multiplied with to give the power of the particle: the cosine to
     /// the surface over both densities.
@@ -363,6 +389,16 @@ pub trait Emitter: Send + Sync {
         }
     }
 
+    /// How it sends light, if that is a Dirac delta.
+    fn rays(&self, _lights: Lights) -> Option<Rays> {
+        None
+    }
+
+    /// A point of its border, chosen by a number in [0, 1), if it has one.
+    fn border<P: Float>(&self, _lights: Lights, _u: f64) -> Option<Border<P>> {
+        None
+    }
+
     /// Whether it can be hit only by sampling it.
     fn is_delta(&self) -> bool {
         false
@@ -558,6 +594,12 @@ macro_rules! emitters {
             ) -> Connection<R> {
                 match self { $(Self::$hot(e) => e.connect(sample, from),)* $(Self::$name(e) => e.connect(sample, from),)* }
             }
+            fn rays(&self, lights: Lights) -> Option<Rays> {
+                match self { $(Self::$hot(e) => e.rays(lights),)* $(Self::$name(e) => e.rays(lights),)* }
+            }
+            fn border<P: Float>(&self, lights: Lights, u: f64) -> Option<Border<P>> {
+                match self { $(Self::$hot(e) => e.border(lights, u),)* $(Self::$name(e) => e.border(lights, u),)* }
+            }
             fn is_delta(&self) -> bool {
                 match self { $(Self::$hot(e) => e.is_delta(),)* $(Self::$name(e) => e.is_delta(),)* }
             }
@@ -606,10 +648,19 @@ impl AnyEmitter {
         matches!(self, Self::DirectionalArea(_))
     }
 
-    /// Whether outlines of shadows are drawn from it: it has points to draw them from, and what it sends from there does
-    /// not jump with the direction.
+    /// Whether outlines of shadows are drawn from it: it does not surround the scene.
     pub(crate) fn draws_shadows(&self) -> bool {
-        matches!(self, Self::Area(_) | Self::Point(_) | Self::Spot(_))
+        matches!(self, Self::Area(_)) || self.is_delta()
+    }
+
+    /// Whether it throws an image that jumps between texels or fields.
+    pub(crate) fn throws_jumps(&self) -> bool {
+        matches!(self, Self::Projector(_) | Self::Slide(_)) && self.radiance().jumps()
+    }
+
+    /// Whether its light ends at a border, across which it jumps.
+    pub(crate) fn has_border(&self) -> bool {
+        matches!(self, Self::Projector(_) | Self::DirectionalArea(_))
     }
 }
 

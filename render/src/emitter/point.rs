@@ -4,7 +4,7 @@ use std::f64::consts::PI;
 
 use ad_core::{Float, Real, Vec2, Vec3};
 
-use super::{Ball, Connection, Emission, EmittedRay, Emitter, EmitterSample, Lights};
+use super::{Ball, Connection, Emission, EmittedRay, Emitter, EmitterSample, Lights, Rays};
 use crate::error::SceneError;
 use crate::math::{Ray, Transform, warp};
 use crate::params::{ParamRef, Params, Theta};
@@ -144,6 +144,10 @@ impl Emitter for Point {
 
     fn moved_by(&self) -> Option<ParamRef> {
         self.moved_by
+    }
+
+    fn rays(&self, _: Lights) -> Option<Rays> {
+        Some(Rays::From(self.position))
     }
 
     fn is_delta(&self) -> bool {

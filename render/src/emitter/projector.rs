@@ -6,7 +6,8 @@ use ad_core::{Float, Real, Vec2, Vec3};
 
 use super::point::{moving, towards};
 use super::{
-    Ball, Connection, Emission, EmittedRay, Emitter, EmitterSample, Lights, Spot, scale_of,
+    Ball, Border, Connection, Emission, EmittedRay, Emitter, EmitterSample, INSIDE_BORDER, Lights,
+    Rays, Spot, scale_of,
 };
 use crate::error::SceneError;
 use crate::math::{Ray, Transform};
@@ -59,6 +60,18 @@ impl Plane {
         let d = right * at(u[0], self.half[0]) + up * at(u[1], self.half[1]) + forward;
         let length = d.length();
         (d * length.recip(), length.recip())
+    }
+
+    /// A point of the border of the image at unit distance, from the point: each side has a quarter of the numbers in [0, 1).
+    /// With its change with the number, and the middle of the image.
+    fn border(&self, u: f64) -> [Vec3<f64>; 3] {
+        let [right, up, forward] = self.axes.map(lift3::<f64>);
+        let [x, y] = [right * self.half[0], up * self.half[1]];
+        let corners = [x + y, y - x, -(x + y), x - y];
+        let side = ((4.0 * u) as usize).min(3);
+        let along = corners[(side + 1) % 4] - corners[side];
+        let p = corners[side] + along * (4.0 * u - side as f64);
+        [forward + p, along * 4.0, forward]
     }
 
     /// Area of the image at unit distance.
@@ -165,6 +178,24 @@ impl Emitter for Projector {
             self.profile(d).map_or(R::zero(), |e| e.falloff)
         });
         along(&self.plane, seen)
+    }
+
+    fn rays(&self, _: Lights) -> Option<Rays> {
+        Some(Rays::From(self.position))
+    }
+
+    fn border<P: Float>(&self, _: Lights, u: f64) -> Option<Border<P>> {
+        let [p, tangent, middle] = self.plane.border(u);
+        let plane = p.cross(tangent);
+        let inside = plane * plane.dot(middle).signum();
+        let d = p + (middle - p) * INSIDE_BORDER;
+        let ray = Ray::new(lift3(self.position), d.map(P::of).normalize());
+        Some(Border {
+            ray,
+            inside: inside.normalize(),
+            length: plane.length() / p.length_squared(),
+            emission: self.profile(ray.d)?,
+        })
     }
 
     fn is_delta(&self) -> bool {
@@ -275,6 +306,10 @@ impl Emitter for Slide {
 
     fn connect<R: Real>(&self, sample: &EmitterSample<R::Primal>, from: Vec3<R>) -> Connection<R> {
         along(&self.plane, self.spot.connect(sample, from))
+    }
+
+    fn rays(&self, lights: Lights) -> Option<Rays> {
+        self.spot.rays(lights)
     }
 
     fn is_delta(&self) -> bool {

@@ -5,7 +5,7 @@ use std::f64::consts::PI;
 use ad_core::{Float, Real, Vec2, Vec3};
 
 use super::point::{constant_colour, moving, towards};
-use super::{Ball, Connection, Emission, EmittedRay, Emitter, EmitterSample, Lights};
+use super::{Ball, Connection, Emission, EmittedRay, Emitter, EmitterSample, Lights, Rays};
 use crate::error::SceneError;
 use crate::math::{Frame, Ray, warp};
 use crate::params::{ParamRef, Params, Theta};
@@ -158,6 +158,10 @@ impl Emitter for Spot {
 
     fn moved_by(&self) -> Option<ParamRef> {
         self.moved_by
+    }
+
+    fn rays(&self, _: Lights) -> Option<Rays> {
+        Some(Rays::From(self.position))
     }
 
     fn is_delta(&self) -> bool {

@@ -6,7 +6,6 @@ use super::job::Job;
 use super::tile::{Tile, place, spot, tiles};
 use crate::bsdf::Shading;
 use crate::bsdf::nesting::opacity;
-use crate::emitter::Emitter;
 use crate::math::Ray;
 use crate::parallel;
 use crate::params::Theta;
@@ -49,8 +48,7 @@ fn of_tile(job: &Job, tile: &Tile) -> Vec<f64> {
         ..
     } = job;
     let theta = Theta::constant(scene.params().values());
-    let sky = |e: &u32| !scene.emitters()[*e as usize].is_delta();
-    let sky = !settings.hide_emitters && scene.infinite_emitters().iter().any(sky);
+    let sky = !settings.hide_emitters && scene.has_sky();
     let mut sums = vec![0.0; tile.pixels()];
     if job.progress.cancelled() {
         return sums;

@@ -362,7 +362,7 @@ impl Builder {
         let flips = self.materials.iter().any(|m| flips_normals(m));
         let lit_things = self.infos.iter().any(|i| !i.glossy) && !emitters.is_empty();
         let wanted = Wanted {
-            lamps: infinite.is_empty(),
+            lamps: infinite.iter().all(|&i| emitters[i as usize].is_delta()),
             casters: lit_things && !flips,
         };
         let reach = farthest(&sensors, &camera);

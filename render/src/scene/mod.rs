@@ -396,6 +396,12 @@ impl Scene {
         &self.emitter_hints
     }
 
+    /// Whether rays that leave the scene may meet light.
+    pub(crate) fn has_sky(&self) -> bool {
+        let met = |&e: &u32| !self.emitters[e as usize].is_delta();
+        self.infinite.iter().any(met)
+    }
+
     /// Emitters that surround the scene, by index.
     pub fn infinite_emitters(&self) -> &[u32] {
         &self.infinite
@@ -876,13 +882,17 @@ impl Scene {
         Some(format!("the horizon of `{name}`, whose normals are mapped"))
     }
 
-    /// An outline of a light, or a shape that may stand in front of another or of itself.
+    /// An outline of a light or a border in what it throws, or a shape that may stand in front of another or of itself.
     ///
     /// If `paths_move`, vertices slide over what is behind them, too: over the edges of a cube, and over textures of a
     /// sphere that jump somewhere. What flat shapes scatter never meets them again.
     pub fn outline(&self, paths_move: bool) -> Option<String> {
         if let Some(info) = self.infos.iter().find(|i| i.emitter.is_some()) {
             return Some(format!("the outline of the light `{}`", info.name));
+        }
+        let thrown = |e: &AnyEmitter| e.has_border() || e.throws_jumps();
+        if !self.infos.is_empty() && self.emitters.iter().any(thrown) {
+            return Some("a border in what a light throws".into());
         }
         let convex = |s: &AnyShape| {
             use AnyShape::{Curves, Cylinder, Instance, Mesh};

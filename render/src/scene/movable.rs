@@ -248,13 +248,19 @@ impl Scene {
         all
     }
 
+    /// The first parameter that its emission is linear in.
+    fn name_of_radiance(&self, emitter: &AnyEmitter) -> Option<&str> {
+        let mut name = None;
+        (emitter.radiance()).visit_params(&mut |p| {
+            name.get_or_insert(&self.params.infos()[p.id as usize].name[..]);
+        });
+        name
+    }
+
     fn movable_light(&self, index: u32, emitter: &AnyEmitter) -> Option<Movable> {
         let (key, _) = emitter.mobility()?;
-        let mut radiance = None;
-        (emitter.radiance()).visit_params(&mut |p| {
-            radiance.get_or_insert(&self.params.infos()[p.id as usize].name);
-        });
-        let (name, suffix) = radiance.map_or(("emitter", ""), |name| name_of_light(name));
+        let radiance = self.name_of_radiance(emitter);
+        let (name, suffix) = radiance.map_or(("emitter", ""), name_of_light);
         Some(Movable {
             name: format!("{name}.{key}{suffix}"),
             shape: ParamShape::Vector,
@@ -573,7 +579,7 @@ impl Scene {
 
     /// Whether the estimator has terms for all outlines that move with this parameter, where paths have up to `max_depth`
     /// edges, if it has any. Where directions follow outlines, they slide over everything: no texture may jump then. Shadows of
-    /// lights that no scattered light meets are drawn from the light, if it is a point or a spot, for samples of edges alone.
+    /// lights that no scattered light meets are drawn from the light, for samples of edges alone.
     /// Where the camera does not see what they fall on, particles go on from there, which know neither lenses nor normals that
     /// are flipped to the viewer. Directions that follow points of the film need a pixel filter whose derivative has
     /// samples, a box or a Gaussian, and rays that leave one point of the camera's lens.
@@ -632,20 +638,22 @@ impl Scene {
         if max_depth < 2 || self.outline(false).is_none() {
             return Ok(());
         }
+        if let Some(light) = self.emitters.iter().find(|e| e.throws_jumps()) {
+            let texture = self.name_of_radiance(light).unwrap_or("a light");
+            return refuse(&format!(
+                "`{texture}` colours an image that jumps where things slide through its light",
+            ));
+        }
         let deltas = || self.emitters.iter().filter(|e| e.is_delta());
         if follows && deltas().next().is_some() {
-            refuse("shadows of point and spot lights have outlines without samples")
-        } else if deltas().any(|e| !e.draws_shadows()) {
-            refuse(
-                "shadows of directional lights and projectors have outlines without samples of edges",
-            )
+            refuse("shadows of lights without area have outlines without samples")
         } else if max_depth > 2
             && deltas().next().is_some()
             && (!self.camera.is_pinhole() || self.flips_normals())
         {
             refuse(
-                "shadows of point and spot lights have outlines without samples of edges where paths have more than two edges \
-                 and the camera is no pinhole, or normals are flipped to the viewer",
+                "shadows of lights without area have outlines without samples of edges where paths have more than two edges and \
+                 the camera is no pinhole, or normals are flipped to the viewer",
             )
         } else {
             Ok(())

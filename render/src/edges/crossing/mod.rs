@@ -20,7 +20,7 @@ pub(crate) use self::contact::Doubt;
 use self::contact::{Guests, Side};
 use self::round::{Ellipse, Pierced};
 use super::tree::{Dice, Item, Tree};
-use super::{EdgePoint, Eye, INSIDE, Inside, Rim, Seeker, Spot, Surfaces};
+use super::{EdgePoint, INSIDE, Inside, Rim, Seeker, Spot, Surfaces};
 use crate::params::Theta;
 use crate::shape::{AnyShape, Shape, SurfaceCoordinates, SurfaceInteraction};
 
@@ -215,16 +215,14 @@ impl Crossings {
             let line = &self.lines[item as usize];
             let middle = line.path.at(0.5);
             let length = middle.1.length();
-            let near = (middle.0 - seeker.from).length().max(0.5 * length);
+            let near = seeker.eye.sight(middle.0).1.max(0.5 * length);
             let [a, b] = line.shapes().map(|i| (seeker.interest)(i..i + 1));
             length / near * (a + b)
         };
         let (item, p) = self.tree.choose(seeker, &[], &mut dice, strip)?;
         let line = &self.lines[item as usize];
-        let (mut point, speed) = line
-            .rim(u[1])
-            .seen(&Eye::point(seeker.from), line.sides[0].shape)?;
-        point.weight = speed / p;
+        let mut point = line.rim(u[1]).drawn(&seeker.eye, line.sides[0].shape)?;
+        point.weight /= p;
         point.weight.is_finite().then_some((point, line.sides))
     }
 }

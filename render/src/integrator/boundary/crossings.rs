@@ -147,7 +147,7 @@ impl<P: Float> Boundary<'_, P> {
         let interest =
             |shapes: std::ops::Range<u32>| if self.moving.any(shapes) { 1.0 } else { 0.0 };
         let seeker = Seeker {
-            from: wide(si.p),
+            eye: Eye::point(wide(si.p)),
             normal,
             lamps: None,
             lamps_only,

@@ -266,10 +266,9 @@ impl<'a, P: Float> Boundary<'a, P> {
     }
 
     fn edges_at_vertices(&self) -> bool {
-        let infinite = self.context.scene.infinite_emitters();
         match self.context.settings.max_depth {
             0..=1 => false,
-            2 => !infinite.is_empty(),
+            2 => self.context.scene.has_sky(),
             _ => true,
         }
     }
@@ -554,7 +553,7 @@ impl<'a, P: Float> Boundary<'a, P> {
         let seen_from_above = wo.z >= P::zero();
         let normal = wide(si.n_geo) * if seen_from_above { 1.0 } else { -1.0 };
         let seeker = Seeker {
-            from: x,
+            eye: Eye::point(x),
             normal,
             lamps: if found { None } else { scene.lamps() },
             lamps_only: depth + 1 >= self.context.settings.max_depth,
@@ -741,7 +740,7 @@ impl<'a, P: Float> Boundary<'a, P> {
         mut sampler: X,
     ) -> Option<(u32, f64)> {
         let scene = self.context.scene;
-        let found = self.shadows.any() && scene.infinite_emitters().is_empty();
+        let found = self.shadows.any() && !scene.has_sky();
         let share = |((beta, here), depth): (&(Rgb<P>, Place<P>), u32)| {
             let brings = if scene.shape_info(here.shape).delta {
                 0.0

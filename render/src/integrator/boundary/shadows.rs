@@ -8,7 +8,11 @@
 //! since it is what the occluder cuts out of all lines as it moves by a unit along its normal. A point on a lamp and a point
 //! of an outline that is seen from there are therefore a sample of the integral over the receiver and the outlines that
 //! it sees; the ray goes on to the receiver, and that is connected to the camera. No sample looks for a lamp that may be
-//! small, and lights that are points are no special case: they have no area to choose from.
+//! small, and lights that are points are no special case: they have no area to choose from. By parallel light, lengths across
+//! it stand for radians, and the receiver moves against the edge as it is.
+//!
+//! Projectors and beams end at a border, which hides and shows nothing, but which what moves goes through as through the
+//! outline of a shadow: it has samples as well.
 //!
 //! From a receiver light goes on by scattering, and each surface that it comes to may be what the camera sees. Lights that
 //! have an area leave that to paths, whose later vertices look for edges before them; where a light is a point, no path
@@ -16,8 +20,7 @@
 //! the film is followed.
 //!
 //! # Does not handle
-//! Environments and directional lights; receivers that the camera sees in others before lights with an area, which paths look
-//! for.
+//! Environments; receivers that the camera sees in others before lights with an area, which paths look for.
 
 use std::ops::Range;
 
@@ -29,9 +32,9 @@ use super::form::{Contribution, Form, Mover, Term};
 use super::{Boundary, MODE, Source, wide};
 use crate::bsdf::{Bsdf, Shading};
 use crate::camera::{CameraSample, SightLine};
-use crate::edges::{Eye, Seeker};
-use crate::emitter::{AnyEmitter, Emission, Emitter};
-use crate::math::{Frame, NOWHERE, Ray, Rgb};
+use crate::edges::{EdgePoint, Eye, Seeker};
+use crate::emitter::{AnyEmitter, Ball, Emission, Emitter, Rays};
+use crate::math::{Frame, NOWHERE, Ray, Rgb, Segment};
 use crate::params::Theta;
 use crate::sampler::{Family, Points, Sampler, Spread};
 use crate::scene::{Intersection, Scene};
@@ -39,6 +42,11 @@ use crate::shape::{Shape, SurfaceInteraction, lift3};
 
 /// What edges that do not move count beside others, where the light does not either: what they shade may.
 const STILL: f64 = 0.1;
+/// How often the border of a light is chosen, if it has one, and not an edge before it.
+const BORDERS: f64 = 0.5;
+/// Parallel rays start before an edge by this part of the largest coordinate of its shape, so that their rounding is that of
+/// the shape, however large the scene is.
+const BEFORE_EDGE: f64 = 1.0 / 32.0;
 
 /// Lights that samples start from.
 pub(super) struct Lights {
@@ -78,14 +86,27 @@ impl Lights {
     }
 }
 
-/// A point on a light.
+/// A point on a light, or all of one whose rays are parallel.
 pub(super) struct Start<P> {
-    /// From which rays start, whatever their direction is.
-    p: Vec3<P>,
+    /// From where edges are seen.
+    eye: Eye,
     /// Primitive of the scene, shape and surface, of areas.
     pub surface: Option<(u32, u32, SurfaceInteraction<P>)>,
-    /// One over the density per area; of points one.
+    /// One over the density per area; of all others one.
     pub weight: f64,
+}
+
+/// An edge before a light.
+struct Before<P: Float> {
+    edge: EdgePoint,
+    /// From where rays pass it, and one that meets it.
+    eye: Eye,
+    from: Ray<P>,
+    /// What goes there.
+    le: Rgb<P>,
+    /// What of the light an edge that moves by a unit hides, over the density: a solid angle, times the cosine to a surface;
+    /// an area across parallel light.
+    width: f64,
 }
 
 /// What a ray from a light meets, as the camera sees it.
@@ -107,8 +128,8 @@ struct Shade<P: Float> {
     hit: Intersection<P>,
     /// Where the camera looks at it through its lens.
     lens: [P; 2],
-    /// Whether the light is a point.
-    of_point: bool,
+    /// Whether the light has no area.
+    delta: bool,
     /// What arrives, over the density of the sample, as an edge that moves by a unit hides it.
     power: Rgb<P>,
     /// How fast the edge and the light move.
@@ -126,32 +147,44 @@ impl<P: Float> Receiver<P> {
 
 impl<P: Float> Boundary<'_, P> {
     pub(super) fn start(&self, emitter: &AnyEmitter, u: [P; 2]) -> Option<Start<P>> {
-        let point = |p: [f32; 3]| Start {
-            p: lift3(p),
-            surface: None,
-            weight: 1.0,
+        let scene = self.context.scene;
+        let AnyEmitter::Area(area) = emitter else {
+            let eye = match emitter.rays(scene.lights())? {
+                Rays::From(p) => Eye::point(lift3(p)),
+                Rays::Along(d) => Eye::Parallel {
+                    direction: d,
+                    origin: self.far_before(d)?,
+                    depth: d,
+                },
+            };
+            return Some(Start {
+                eye,
+                surface: None,
+                weight: 1.0,
+            });
         };
-        match emitter {
-            AnyEmitter::Area(area) => {
-                let shape = area.shape;
-                let of = &self.surfaces.shapes[shape as usize];
-                let (s, n_geo) = of.sample_surface(&Theta::still(), u);
-                let si = SurfaceInteraction {
-                    p: s.p,
-                    t: P::zero(),
-                    n_geo,
-                    frame: Frame::from_normal(s.n),
-                    uv: s.uv,
-                };
-                let prim = self.surfaces.firsts[shape as usize] + s.prim;
-                Some(Start {
-                    p: s.p,
-                    surface: Some((prim, shape, si)),
-                    weight: s.pdf.to_f64().recip(),
-                })
-            }
-            _ => emitter.mobility().map(|(_, p)| point(p)),
-        }
+        let shape = area.shape;
+        let of = &self.surfaces.shapes[shape as usize];
+        let (s, n_geo) = of.sample_surface(&Theta::still(), u);
+        let si = SurfaceInteraction {
+            p: s.p,
+            t: P::zero(),
+            n_geo,
+            frame: Frame::from_normal(s.n),
+            uv: s.uv,
+        };
+        let prim = self.surfaces.firsts[shape as usize] + s.prim;
+        Some(Start {
+            eye: Eye::point(wide(s.p)),
+            surface: Some((prim, shape, si)),
+            weight: s.pdf.to_f64().recip(),
+        })
+    }
+
+    /// So far before the scene that all of it is about as far away.
+    fn far_before(&self, direction: Vec3<f64>) -> Option<Vec3<f64>> {
+        let ball = Ball::around(self.surfaces.shapes)?;
+        Some(Vec3::from(ball.centre) - direction * (16.0 * ball.radius))
     }
 
     /// Calls `each` with what sample `index` of edges before lights brings: where on the film, and of what.
@@ -172,7 +205,7 @@ impl<P: Float> Boundary<'_, P> {
         let Some(onwards) = &self.onwards else {
             return;
         };
-        if !shade.of_point {
+        if !shade.delta {
             return;
         }
         let mut form = shade.form.clone();
@@ -188,60 +221,39 @@ impl<P: Float> Boundary<'_, P> {
         });
     }
 
-    /// What an edge before a light shades.
+    /// What an edge before a light shades, or where its border falls.
     fn shade<X: Sampler>(&self, mut sampler: X) -> Option<Shade<P>> {
         let scene = self.context.scene;
         let count = self.per_sample(Source::Shadows) as f64;
-        let u: [f64; 2] = sampler.next_2d();
+        let mut u: [f64; 2] = sampler.next_2d();
         let on_light: [P; 2] = sampler.next_2d();
         let (light, weight) = self.shadows.choose(sampler.next_1d())?;
         let lens = on_lens(scene, sampler);
         let emitter = &scene.emitters()[light as usize];
+        let mut weight = weight / count;
+        if emitter.has_border() {
+            if u[0] < BORDERS {
+                return self.border(emitter, weight / BORDERS, (u[1], lens));
+            }
+            u[0] = (u[0] - BORDERS) / (1.0 - BORDERS);
+            weight /= 1.0 - BORDERS;
+        }
         let start = self.start(emitter, on_light)?;
-
-        // ---- An edge that the light sees ----
-        let y = wide(start.p);
         let moves = match &start.surface {
             Some((_, shape, _)) => self.moving.shapes[*shape as usize],
             None => emitter
                 .moved_by()
                 .is_some_and(|p| self.moving.lights.contains(&p)),
         };
-        let interest = |shapes: Range<u32>| {
-            if moves || self.moving.camera || self.moving.any(shapes) {
-                1.0
-            } else {
-                STILL
-            }
-        };
-        let n_geo = (start.surface.as_ref()).map(|(_, _, si)| wide(si.n_geo));
-        let seeker = Seeker {
-            from: y,
-            normal: n_geo.unwrap_or(Vec3::zero()),
-            lamps: None,
-            lamps_only: false,
-            interest: &interest,
-        };
-        let edge = self.edges.draw(&seeker, &[], u)?;
-        // No light leaves in the plane of its own face, which the sides of that are in.
-        let level = self.clearance(edge.shape, edge.distance);
-        if n_geo.is_some_and(|n| n.dot(edge.p - y).abs() <= level) {
-            return None;
-        }
-        let surface = start.surface.as_ref().map(|(_, _, si)| si);
-        let leaving = edge.direction.map(P::of).normalize();
-        let (emission, _): (Emission<P>, P) = emitter.leaves(leaving, surface)?;
-        let le = emitter.eval(self.context.theta, &emission);
-        if le.is_black() {
-            return None;
-        }
-        let from = match &start.surface {
-            Some((prim, _, si)) => si.spawn_ray(leaving, scene.exit(*prim)),
-            None => Ray::new(start.p, leaving),
-        };
+        let Before {
+            edge,
+            eye,
+            from,
+            le,
+            width,
+        } = self.edge_before(emitter, &start, moves, u)?;
 
         // ---- What it shades ----
-        let eye = Eye::point(wide(from.o));
         let (ray, hit) = self.past(&edge, (&eye, from), 2)?;
         let hit = hit?;
         let x = wide(hit.si.p);
@@ -250,13 +262,13 @@ impl<P: Float> Boundary<'_, P> {
         if wide(hit.si.n_geo).dot(edge.p - x).abs() <= beside {
             return None;
         }
-        let [to_edge, to_light] = [edge.p, y].map(|p| (p - x).length());
-        let cos_light = n_geo.map_or(1.0, |n| n.dot(wide(ray.d)).abs());
-        let measure = edge.weight * cos_light / edge.distance;
+        let part = match start.eye {
+            Eye::Point { at, .. } => (edge.p - x).length() / (at - x).length(),
+            Eye::Parallel { .. } => 0.0,
+        };
 
         // ---- How fast, times the distance of the edge, which may be small ----
         let n = edge.normal;
-        let part = to_edge / to_light;
         let mut form: Form<P> = self.of_edge(&edge, n).into_iter().collect();
         match &start.surface {
             Some((prim, shape, si)) => {
@@ -272,10 +284,138 @@ impl<P: Float> Boundary<'_, P> {
             ray,
             hit,
             lens,
-            of_point: start.surface.is_none(),
-            power: le.scale(P::of(weight * start.weight * measure / count)),
+            delta: start.surface.is_none(),
+            power: le.scale(P::of(weight * start.weight * width)),
             form,
             receiver_moves: n * (part - 1.0),
+        })
+    }
+
+    /// An edge that a light sees, if nothing hides it there.
+    fn edge_before(
+        &self,
+        emitter: &AnyEmitter,
+        start: &Start<P>,
+        moves: bool,
+        u: [f64; 2],
+    ) -> Option<Before<P>> {
+        let scene = self.context.scene;
+        let interest = |shapes: Range<u32>| {
+            if moves || self.moving.camera || self.moving.any(shapes) {
+                1.0
+            } else {
+                STILL
+            }
+        };
+        let surface = start.surface.as_ref().map(|(_, _, si)| si);
+        let n_geo = surface.map(|si| wide(si.n_geo));
+        let seeker = Seeker {
+            eye: start.eye,
+            normal: n_geo.unwrap_or(Vec3::zero()),
+            lamps: None,
+            lamps_only: false,
+            interest: &interest,
+        };
+        let edge = self.edges.draw(&seeker, &[], u)?;
+        let leaving = edge.direction.map(P::of).normalize();
+        let Eye::Point { at, .. } = start.eye else {
+            return self.edge_along(emitter, edge, leaving);
+        };
+        // No light leaves in the plane of its own face, which the sides of that are in.
+        let level = self.clearance(edge.shape, edge.distance);
+        if n_geo.is_some_and(|n| n.dot(edge.p - at).abs() <= level) {
+            return None;
+        }
+        let (emission, _): (Emission<P>, P) = emitter.leaves(leaving, surface)?;
+        let le = emitter.eval(self.context.theta, &emission);
+        let from = match &start.surface {
+            Some((prim, _, si)) => si.spawn_ray(leaving, scene.exit(*prim)),
+            None => Ray::new(at.map(P::of), leaving),
+        };
+        let cos_light = n_geo.map_or(1.0, |n| n.dot(edge.direction).abs());
+        (!le.is_black()).then(|| Before {
+            eye: Eye::point(wide(from.o)),
+            from,
+            le,
+            width: edge.weight * cos_light / edge.distance,
+            edge,
+        })
+    }
+
+    /// An edge in parallel light, which is seen from nearby.
+    fn edge_along(
+        &self,
+        emitter: &AnyEmitter,
+        mut edge: EdgePoint,
+        leaving: Vec3<P>,
+    ) -> Option<Before<P>> {
+        let scene = self.context.scene;
+        let half = P::of(0.5);
+        let light = emitter.sample::<P>(scene.lights(), edge.p.map(P::of), [half; 2])?;
+        let le = emitter.eval(self.context.theta, &light.emission);
+        let to_light = light.distance.to_f64();
+        // The sides of the light itself are its border.
+        if to_light <= self.clearance(edge.shape, 0.0) {
+            return None;
+        }
+        let extent = f64::from(self.surfaces.shapes[edge.shape as usize].extent());
+        let distance = (extent * BEFORE_EDGE).min(0.5 * to_light);
+        let o = edge.p - edge.direction * distance;
+        let from = Ray::new(o.map(P::of), leaving);
+        let way = Segment {
+            ray: Ray {
+                d: -leaving,
+                ..from
+            },
+            length: light.distance - P::of(distance),
+            to: light.surface,
+        };
+        if le.is_black() || scene.occluded(&way) {
+            return None;
+        }
+        let eye = Eye::Parallel {
+            direction: edge.direction,
+            origin: o,
+            depth: edge.direction,
+        };
+        let width = edge.weight * edge.distance;
+        edge.distance = distance;
+        Some(Before {
+            edge,
+            eye,
+            from,
+            le,
+            width,
+        })
+    }
+
+    /// Where the border of a light falls: it stays, and so does what hides it.
+    fn border(
+        &self,
+        emitter: &AnyEmitter,
+        weight: f64,
+        (u, lens): (f64, [P; 2]),
+    ) -> Option<Shade<P>> {
+        let scene = self.context.scene;
+        let border = emitter.border::<P>(scene.lights(), u)?;
+        let le = emitter.eval(self.context.theta, &border.emission);
+        if le.is_black() {
+            return None;
+        }
+        let hit = scene.seen(&border.ray, self.context.settings.hides(2))?;
+        let hit = scene.interaction(&Theta::still(), &border.ray, &hit);
+        let near = match emitter.rays(scene.lights())? {
+            Rays::From(_) => hit.si.t.to_f64().recip(),
+            Rays::Along(_) => 1.0,
+        };
+        Some(Shade {
+            ray: border.ray,
+            hit,
+            lens,
+            delta: true,
+            power: le.scale(P::of(weight * border.length)),
+            form: Form::new(),
+            receiver_moves: border.inside * -near,
         })
     }
 

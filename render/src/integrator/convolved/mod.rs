@@ -17,7 +17,7 @@
 //!
 //! # Does not handle
 //! By auxiliary rays it is right in the limit of a narrow kernel only ([`field::KAPPA`]): what is smaller than that is
-//! blurred. Textures that jump and shadows of point and spot lights are refused, as other estimators of motion do, Dirac deltas
+//! blurred. Textures that jump and shadows of lights without area are refused, as other estimators of motion do, Dirac deltas
 //! where outlines are to be known in closed form, parallel rays of a camera, and pixel filters other than a box or a Gaussian
 //! ([`Scene::admits_outlines`](crate::Scene::admits_outlines)).
 //!
