@@ -561,10 +561,10 @@ fn lights_that_no_path_meets() {
     let cases = [
         ("sun, cube", 2, &sun, CUBE, &body[..]),
         ("sun, ball", 2, &sun, BALL, &seen),
-        ("sun, tube", 2, &sun, TUBE, &body),
+        ("sun, tube", 2, &sun, TUBE, &body[1..]),
         ("sun, disk", 2, &sun, DISK, &body),
         ("sun, smooth faces", 2, &sun, &smooth, &points),
-        ("sun, five bounces", 6, &sun, CUBE, &body),
+        ("sun, five bounces", 6, &sun, CUBE, &body[..2]),
         ("projector, cube", 2, &projector, CUBE, &body),
         ("projector, ball", 2, &projector, BALL, &seen),
         ("projector, five bounces", 6, &projector, CUBE, &body),
@@ -584,5 +584,14 @@ fn lights_that_no_path_meets() {
                 &[EDGES],
             )
         };
-    compare_all(cases.map(of).into());
+    let mut cases = Vec::from(cases.map(of));
+    // Nothing becomes visible: all of the floor is lit.
+    let metal = r#"<bsdf type="roughconductor"><float name="alpha" value="0.4"/></bsdf>"#;
+    let floor = FLOOR
+        .replace("value=\"6\"", "value=\"100\"")
+        .replace(r#"<ref id="grey"/>"#, metal);
+    let moves = ["floor.rotation", "sensor.rotation"];
+    let all = [INTERIOR, EDGES];
+    cases.push(case("sun, floor", &format!("{floor}{SUN}"), &moves, &all));
+    compare_all(cases);
 }

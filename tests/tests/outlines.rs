@@ -8,7 +8,6 @@ use render::estimator::{
     Reparameterised,
 };
 use render::instances::{Direction, Estimator};
-use render::integrator::gradient::Active;
 use render::params::Theta;
 use render::scene::LoadOptions;
 use render::statistics::{Estimate, z_limit};
@@ -529,6 +528,34 @@ fn shadows_that_bounce_are_one_map_in_both_modes() {
         s.make_movable(&names).expect("known");
         moving::modes_are_one_map::<ByEdges>(what, &s, &names);
     }
+}
+
+/// A mesh just above a floor under a sky: rays that pass its edges from nearby clear the seams of its own faces.
+#[test]
+#[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
+fn edges_near_what_they_shade_clear_their_own_faces() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let path = dir.path().join("plate.obj");
+    std::fs::write(
+        &path,
+        "v -1 0 -1\nv 1 0 -1\nv 1 0 1\nv -1 0 1\nf 1 3 2\nf 1 4 3\n",
+    )
+    .expect("a file");
+    let floor = FLOOR
+        .split_once(r#"<shape type="rectangle" id="lamp">"#)
+        .expect("a lamp")
+        .0;
+    let body = format!(
+        r#"{floor}<emitter type="constant"/><shape type="obj" id="it"><string name="filename" value="{}"/>
+        <transform name="to_world"><translate y="0.04"/></transform><ref id="grey"/></shape>"#,
+        path.display()
+    );
+    let mut s = scene(&body, 2);
+    let names = ["it.translation", "it.scale"];
+    s.make_movable(&names).expect("known");
+    let found = gradient(&s, &names, 16, 256);
+    let expected = differences(&mut s, &names, 0.02, 16, 512);
+    agrees("plate", &found, &expected, 0.01, 16);
 }
 
 /// A convex body under a sky hides no light from itself: all that there is are its outlines on the film, at any depth. 32 x 32

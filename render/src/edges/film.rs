@@ -587,6 +587,7 @@ impl FilmCurves {
             None => length / total / (span[1] - span[0]),
         };
         edge.weight = view.pixels(at, edge.distance) * speed / density;
+        edge.seam = (edges.straight.get(item as usize)).map_or(0.0, |e| e.seam.into());
         edge.weight.is_finite().then_some(FilmPoint {
             at,
             eye: view.eye,

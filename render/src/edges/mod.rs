@@ -70,6 +70,8 @@ struct Edge {
     /// What a curve on the film counts beside others where both faces are seen: one if normals or textures jump; where
     /// normals are interpolated, the angle between the faces, since each hides light from itself; otherwise zero.
     jump: f32,
+    /// How far beyond it faces are met by rays that come from nearby, at most.
+    seam: f32,
 }
 
 /// What a curve is.
@@ -171,6 +173,8 @@ pub(crate) struct EdgePoint {
     pub normal: Vec3<f64>,
     /// The length of the outline over the distance, in radians if it is seen from a point, over the density.
     pub weight: f64,
+    /// How far beyond the edge faces are met by rays that come from nearby, at most.
+    pub seam: f64,
     /// Shape and its primitive that the point belongs to.
     pub shape: u32,
     spot: Spot,
@@ -378,6 +382,7 @@ impl Rim {
             distance,
             normal,
             weight: 0.0,
+            seam: 0.0,
             shape,
             spot: self.spot,
         };

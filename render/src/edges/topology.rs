@@ -10,6 +10,7 @@ use smallvec::SmallVec;
 
 use super::turn::Turn;
 use super::{BEYOND_SEAM, Curve, CurveKind, Edge, Face, INSIDE, MIDDLE, single};
+use crate::accel::SEAM;
 use crate::params::Theta;
 use crate::shape::{AnyShape, Mesh, Patch, Shape, SurfaceCoordinates, SurfaceInteraction, lift3};
 
@@ -275,6 +276,9 @@ impl Topology {
                 reversed: ends((group[0].0, polygon, side))[0].welded != a.welded,
                 inside: inside(polygon),
             };
+            let seam = |&(_, polygon, side): &([u32; 2], u32, u8)| {
+                seam(&polygons[polygon as usize].corners, side)
+            };
             let m = into(group[0].1);
             let mut edge = Edge {
                 shape,
@@ -283,6 +287,7 @@ impl Topology {
                 faces: [face(&group[0]); 2],
                 border: group.len() == 1,
                 jump: 0.0,
+                seam: group.iter().map(seam).fold(0.0, f64::max) as f32,
             };
             if let [_, other, ..] = group {
                 let m2 = into(other.1);
@@ -310,6 +315,20 @@ impl Topology {
             self.straight.push(edge);
         }
     }
+}
+
+/// How far beyond one of its sides a face is met by rays that come from nearby, with some more for rounding. Triangles are
+/// met in coordinates along two of their sides, whose seams add up beyond the third one.
+fn seam(corners: &[Corner], side: u8) -> f64 {
+    let n = corners.len();
+    let [a, b, c] = [0, 1, n - 1].map(|k| lift3::<f64>(corners[k].at));
+    let both = (b - a).length() + (c - a).length();
+    let third = if n == 3 && side == 1 {
+        both / (c - b).length()
+    } else {
+        1.0
+    };
+    1.5 * f64::from(SEAM) * (a.max_abs() + both) * third
 }
 
 /// Along a normal of the face; zero if it has no area.

@@ -469,7 +469,9 @@ impl Edges {
             return None;
         };
         let Eye::Point { at: from, .. } = seeker.eye else {
-            return edge.rim(u, front).drawn(&seeker.eye, edge.shape);
+            let point = edge.rim(u, front).drawn(&seeker.eye, edge.shape)?;
+            let seam = edge.seam.into();
+            return Some(EdgePoint { seam, ..point });
         };
         let [a, b] = [edge.start(), edge.start() + edge.along()].map(|p| p - from);
         let start = a.normalize();
@@ -550,6 +552,7 @@ impl Edges {
             distance: (p - from).length(),
             normal,
             weight: density.recip(),
+            seam: edge.seam.into(),
             shape: edge.shape,
             spot: Spot::At(face.local, face.at(part)[0]),
         })

@@ -317,7 +317,8 @@ impl<'a, P: Float> Boundary<'a, P> {
     ) -> Option<(Ray<P>, Option<Intersection<P>>)> {
         let scene = self.context.scene;
         let hidden = self.context.settings.hides(depth);
-        let beside = edge.p + edge.normal * self.clearance(edge.shape, edge.distance);
+        let clearance = self.clearance(edge.shape, edge.distance).max(edge.seam);
+        let beside = edge.p + edge.normal * clearance;
         let o = eye.origin(beside).map(P::of);
         let d = (beside - wide(o)).normalize();
         let ray = Ray {

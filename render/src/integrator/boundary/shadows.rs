@@ -46,7 +46,7 @@ const STILL: f64 = 0.1;
 const BORDERS: f64 = 0.5;
 /// Parallel rays start before an edge by this part of the largest coordinate of its shape, so that their rounding is that of
 /// the shape, however large the scene is.
-const BEFORE_EDGE: f64 = 1.0 / 32.0;
+const BEFORE_EDGE: f64 = 0.5;
 
 /// Lights that samples start from.
 pub(super) struct Lights {
@@ -258,7 +258,7 @@ impl<P: Float> Boundary<'_, P> {
         let hit = hit?;
         let x = wide(hit.si.p);
         // Where it stands on that, it shades nothing that it does not hide on the film, with rays as near as these.
-        let beside = self.clearance(edge.shape, hit.si.t.to_f64());
+        let beside = self.clearance(edge.shape, hit.si.t.to_f64()).max(edge.seam);
         if wide(hit.si.n_geo).dot(edge.p - x).abs() <= beside {
             return None;
         }

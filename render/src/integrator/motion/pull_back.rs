@@ -6,7 +6,7 @@ use super::slopes::{across, slope, slopes, varied};
 use super::trail::{Stop, Trail, met, sampled_point};
 use crate::bsdf::Component;
 use crate::camera::CameraSample;
-use crate::emitter::{Emitter, EmitterSample};
+use crate::emitter::{Emitter, EmitterSample, Rays};
 use crate::estimator::Strategy;
 use crate::integrator::active::Active;
 use crate::integrator::record::{Place, SampledLight};
@@ -306,7 +306,7 @@ impl<'a, P: Float> PullBack<'a, P> {
         }
     }
 
-    /// Light from a point that is a light: `a` and `a_le` are the adjoints of the material's value and of what arrives.
+    /// Light from a point that is a light, or along one direction: `a` and `a_le` are the adjoints of the material's value and of what arrives.
     fn delta_light(
         &mut self,
         k: usize,
@@ -321,8 +321,11 @@ impl<'a, P: Float> PullBack<'a, P> {
         if !(moves || before || self.points[k].moves) {
             return;
         }
-        let at = place.si.p + sample.d * sample.distance;
-        let mut d = self.scattered(k, place, ScatteredValue::of_light(s, a), Source::Light(at));
+        let source = match e.rays(self.scene.lights()) {
+            Some(Rays::From(_)) => Source::Light(place.si.p + sample.d * sample.distance),
+            Some(Rays::Along(_)) | None => Source::Afar,
+        };
+        let mut d = self.scattered(k, place, ScatteredValue::of_light(s, a), source);
         let from = place.si.p;
         let var = |x: P, i: usize| Dual::<P, 3>::var(x, i);
         let from = Vec3::new(var(from.x, 0), var(from.y, 1), var(from.z, 2));
