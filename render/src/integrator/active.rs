@@ -2,13 +2,15 @@
 
 use std::sync::Arc;
 
+use ad_core::Real;
+
 use super::local::ActiveTexture;
 use super::noise::Watch;
 use crate::bsdf::{Bsdf, Material, TextureRef};
 use crate::emitter::{AnyEmitter, Emitter};
 use crate::error::RenderError;
 use crate::estimator::{self, DetachedMis, Strategy};
-use crate::params::{ParamInfo, ParamRef};
+use crate::params::{ParamInfo, ParamRef, Theta};
 use crate::scene::Scene;
 
 /// Ranges of up to this many values are summed in f64 per job; larger ones share one exact buffer.
@@ -84,6 +86,14 @@ impl Active {
             Ok(info)
         });
         Ok(Self::of(scene, &found.collect::<Result<Vec<_>, _>>()?))
+    }
+
+    /// Those that move along the directions of derivative images.
+    pub(super) fn moving<R: Real>(scene: &Scene, theta: &Theta<R>) -> Self {
+        let params = scene.params();
+        let moves = |info: &&ParamInfo| theta.moves(params.handle(info));
+        let moving: Vec<_> = params.infos().iter().filter(moves).collect();
+        Self::of(scene, &moving)
     }
 
     /// These parameters, each once.

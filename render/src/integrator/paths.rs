@@ -65,11 +65,7 @@ fn tile_sums<R: Components, S: Strategy, X: Sampler>(pass: &Pass<R>) -> Vec<Tile
     };
     let primal = theta.primal();
     let still = context.still(&primal);
-    let infos = scene.params().infos().iter();
-    let moving: Vec<_> = infos
-        .filter(|info| theta.moves(scene.params().handle(info)))
-        .collect();
-    let active = Active::of(scene, &moving);
+    let active = Active::moving(scene, theta);
     let spp = samples.end.saturating_sub(samples.start) as f64;
     parallel::map(tiles.len(), |i| {
         let tile = &tiles[i];

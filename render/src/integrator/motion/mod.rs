@@ -115,11 +115,7 @@ pub(super) fn context<'a, R: Real>(
 pub(super) fn image<R: Components, S: Strategy, X: Sampler>(pass: &Pass<R>) -> Rendering {
     let scene = pass.scene;
     let theta = pass.theta.primal();
-    let infos = scene.params().infos().iter();
-    let moving: Vec<_> = infos
-        .filter(|info| pass.theta.moves(scene.params().handle(info)))
-        .collect();
-    let active = Active::of(scene, &moving);
+    let active = Active::moving(scene, pass.theta);
     let context = context(pass, &theta);
     let tiles = pass.tiles();
     let spp = pass.samples.end.saturating_sub(pass.samples.start) as f64;
