@@ -238,8 +238,19 @@ impl Placement {
         adjoint: Vec3<P>,
         grad: &mut impl GradSink<P>,
     ) {
+        self.scatter_direction(theta, d, -adjoint, grad);
+    }
+
+    /// Adds the adjoint of a turn, given that of a unit direction `d` that turns along.
+    pub fn scatter_direction<P: Float>(
+        &self,
+        theta: &Theta<P>,
+        d: Vec3<P>,
+        adjoint: Vec3<P>,
+        grad: &mut impl GradSink<P>,
+    ) {
         let mut wrench = self.wrench(theta);
-        wrench.direction(d, -adjoint);
+        wrench.direction(d, adjoint);
         self.scatter(theta, &wrench, grad);
     }
 

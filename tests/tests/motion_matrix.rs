@@ -553,18 +553,19 @@ fn lights_that_no_path_meets() {
     let smooth = octahedron(dir.path(), true, turn, r#"<ref id="grey"/>"#);
     let seen = ["it.translation", "floor.rotation", "sensor.translation"];
     let body = ["it.translation", "it.rotation", "floor.translation"];
+    let under = ["it.translation", "sun.rotation", "floor.rotation"];
     let points = ["it.vertex_positions", "floor.rotation"];
     let [square, disk] =
         [("rectangle", "1"), ("disk", "0.9")].map(|(shape, scale)| beam(shape, scale));
     let image = bitmap(dir.path(), "irradiance", [4, 3], 8.0, 5.0);
     let (sun, projector) = (SUN.to_owned(), PROJECTOR.replace("IMAGE", &image));
     let cases = [
-        ("sun, cube", 2, &sun, CUBE, &body[..]),
+        ("sun, cube", 2, &sun, CUBE, &under[..]),
         ("sun, ball", 2, &sun, BALL, &seen),
         ("sun, tube", 2, &sun, TUBE, &body[1..]),
-        ("sun, disk", 2, &sun, DISK, &body),
+        ("sun, disk", 2, &sun, DISK, &under),
         ("sun, smooth faces", 2, &sun, &smooth, &points),
-        ("sun, five bounces", 6, &sun, CUBE, &body[..2]),
+        ("sun, five bounces", 6, &sun, CUBE, &under[..2]),
         ("projector, cube", 2, &projector, CUBE, &body),
         ("projector, ball", 2, &projector, BALL, &seen),
         ("projector, five bounces", 6, &projector, CUBE, &body),
@@ -590,7 +591,7 @@ fn lights_that_no_path_meets() {
     let floor = FLOOR
         .replace("value=\"6\"", "value=\"100\"")
         .replace(r#"<ref id="grey"/>"#, metal);
-    let moves = ["floor.rotation", "sensor.rotation"];
+    let moves = ["floor.rotation", "sensor.rotation", "sun.rotation"];
     let all = [INTERIOR, EDGES];
     cases.push(case("sun, floor", &format!("{floor}{SUN}"), &moves, &all));
     compare_all(cases);

@@ -519,11 +519,15 @@ fn the_interior_alone_is_noticed() {
 #[test]
 fn shadows_that_bounce_are_one_map_in_both_modes() {
     let bulb = r#"<emitter type="point"><point name="position" x="0" y="4" z="0"/></emitter>"#;
-    let sun = r#"<emitter type="directional"><vector name="direction" x="0.2" y="-1" z="0.1"/></emitter>"#;
+    let sun = r#"<emitter type="directional" id="sun"><vector name="direction" x="0.2" y="-1" z="0.1"/></emitter>"#;
     let projector = r#"<emitter type="projector"><transform name="to_world"><lookat origin="1, 4, 1" target="0, 0.5, 0"
         up="0, 0, 1"/></transform><float name="fov" value="24"/></emitter>"#;
-    for (what, light) in [("bulb", bulb), ("sun", sun), ("projector", projector)] {
-        let names = ["it.translation"];
+    let it = "it.translation";
+    for (what, light, names) in [
+        ("bulb", bulb, vec![it]),
+        ("sun", sun, vec![it, "sun.rotation"]),
+        ("projector", projector, vec![it]),
+    ] {
         let mut s = scene(&format!("{FLOOR}{CUBE}{light}"), 4);
         s.make_movable(&names).expect("known");
         moving::modes_are_one_map::<ByEdges>(what, &s, &names);

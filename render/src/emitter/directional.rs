@@ -5,6 +5,9 @@ use ad_core::{Float, Real, Vec3};
 use super::point::constant_colour;
 use super::{Emission, Emitter, EmitterSample, Lights, Rays};
 use crate::error::SceneError;
+use crate::math::each;
+use crate::motion::Placement;
+use crate::params::{ParamRef, Params};
 use crate::plugin::{FromNode, Node, Registry};
 use crate::shape::{SurfaceInteraction, lift3};
 use crate::texture::RgbTexture;
@@ -16,15 +19,21 @@ pub struct Directional {
     pub irradiance: RgbTexture,
     /// The unit direction that light travels in, world space.
     direction: [f32; 3],
+    /// The same before it is turned, and how it is.
+    direction_at_rest: [f32; 3],
+    turned: Placement,
 }
 
 impl Directional {
     /// Light that travels along `direction`, of any length. `None` if that is none.
     pub fn new(irradiance: RgbTexture, direction: [f64; 3]) -> Option<Self> {
         let direction = Vec3::from(direction).normalize();
+        let single = direction.to_array().map(|x| x as f32);
         ((direction.length() - 1.0).abs() < 0.5).then(|| Self {
             irradiance,
-            direction: direction.to_array().map(|x| x as f32),
+            direction: single,
+            direction_at_rest: single,
+            turned: Placement::default(),
         })
     }
 }
@@ -60,6 +69,28 @@ impl Emitter for Directional {
 
     fn is_infinite(&self) -> bool {
         true
+    }
+
+    fn update(&mut self, params: &Params) {
+        let turned = self.turned.transform(params);
+        let direction = turned.vector(each(self.direction_at_rest, f64::from));
+        self.direction = each(direction, |x| x as f32);
+    }
+
+    fn mobility(&self) -> Option<(&'static str, [f32; 3])> {
+        Some(("rotation", [0.0; 3]))
+    }
+
+    fn make_movable(&mut self, p: ParamRef) {
+        self.turned.rotation = Some(p);
+    }
+
+    fn moved_by(&self) -> Option<ParamRef> {
+        self.turned.rotation
+    }
+
+    fn turned(&self) -> Option<&Placement> {
+        Some(&self.turned)
     }
 }
 

@@ -53,6 +53,7 @@ use ad_core::{Float, Real, Vec2, Vec3};
 
 use crate::error::SceneError;
 use crate::math::{Frame, NOWHERE, Ray, Rgb, each, warp};
+use crate::motion::Placement;
 use crate::params::{GradSink, ParamRef, ParamShape, Params, Theta};
 use crate::plugin::{FromNode, Node, Registry};
 use crate::shape::{AnyShape, Exit, Prim, Shape, SurfaceInteraction};
@@ -418,7 +419,7 @@ pub trait Emitter: Send + Sync {
     fn update(&mut self, _params: &Params) {}
 
     /// What of it a parameter of three numbers can move, with its value now: the `position` of points, world space, the
-    /// `rotation` of environments, a rotation vector about the world's axes.
+    /// `rotation` of what shines from afar, a rotation vector about the world's axes.
     fn mobility(&self) -> Option<(&'static str, [f32; 3])> {
         None
     }
@@ -431,15 +432,9 @@ pub trait Emitter: Send + Sync {
         None
     }
 
-    /// Adds the adjoint of the turn of an environment, given that of the light from a unit direction `d`, world space, with
-    /// respect to `d`.
-    fn scatter_turn<P: Float>(
-        &self,
-        _theta: &Theta<P>,
-        _d: Vec3<P>,
-        _adjoint: Vec3<P>,
-        _grad: &mut impl GradSink<P>,
-    ) {
+    /// How what shines from afar is turned, if it may be.
+    fn turned(&self) -> Option<&Placement> {
+        None
     }
 
     /// The emitted radiance (intensity over squared distance for points).
@@ -621,13 +616,8 @@ macro_rules! emitters {
             fn moved_by(&self) -> Option<ParamRef> {
                 match self { $(Self::$hot(e) => e.moved_by(),)* $(Self::$name(e) => e.moved_by(),)* }
             }
-            fn scatter_turn<P: Float>(
-                &self, theta: &Theta<P>, d: Vec3<P>, adjoint: Vec3<P>, grad: &mut impl GradSink<P>,
-            ) {
-                match self {
-                    $(Self::$hot(e) => e.scatter_turn(theta, d, adjoint, grad),)*
-                    $(Self::$name(e) => e.scatter_turn(theta, d, adjoint, grad),)*
-                }
+            fn turned(&self) -> Option<&Placement> {
+                match self { $(Self::$hot(e) => e.turned(),)* $(Self::$name(e) => e.turned(),)* }
             }
         }
     };

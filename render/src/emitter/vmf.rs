@@ -9,7 +9,7 @@ use super::{Emission, Emitter, EmitterSample, Lights};
 use crate::error::SceneError;
 use crate::math::{Frame, each, warp};
 use crate::motion::Placement;
-use crate::params::{GradSink, ParamRef, Params, Theta};
+use crate::params::{ParamRef, Params};
 use crate::plugin::{FromNode, Node, Registry};
 use crate::shape::{SurfaceInteraction, lift3};
 use crate::texture::RgbTexture;
@@ -135,14 +135,8 @@ impl Emitter for Vmf {
         self.turned.rotation
     }
 
-    fn scatter_turn<P: Float>(
-        &self,
-        theta: &Theta<P>,
-        d: Vec3<P>,
-        adjoint: Vec3<P>,
-        grad: &mut impl GradSink<P>,
-    ) {
-        self.turned.scatter_turn(theta, d, adjoint, grad);
+    fn turned(&self) -> Option<&Placement> {
+        Some(&self.turned)
     }
 
     fn is_wide(&self) -> bool {

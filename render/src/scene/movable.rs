@@ -116,7 +116,12 @@ fn name_of_light(radiance: &str) -> (&str, &str) {
         Some((name, digits)) if number(digits) => (name, &radiance[name.len()..]),
         _ => (radiance, ""),
     };
-    let keys = [".intensity.value", ".radiance.value", ".data"];
+    let keys = [
+        ".intensity.value",
+        ".radiance.value",
+        ".irradiance.value",
+        ".data",
+    ];
     let stem = keys.iter().find_map(|key| name.strip_suffix(key));
     stem.map_or((radiance, ""), |stem| (stem, suffix))
 }
@@ -158,7 +163,8 @@ impl Scene {
     ///   whole. They may have any length but zero. Under a bump map they are not there.
     /// * `sensor.translation`, `sensor.rotation` (about its origin: the pinhole, the middle of the lens or of the film), and
     ///   `sensor.fov` in degrees, unless rays are parallel; `sensor.aperture_radius` and `sensor.focus_distance` of a thin lens.
-    /// * `NAME.position` of point and spot lights, world space; `NAME.rotation` of environment maps and lobes.
+    /// * `NAME.position` of point and spot lights, world space; `NAME.rotation` of environment maps, lobes and directional
+    ///   lights.
     ///
     /// Mitsuba's keys stand for these where they mean the same: `positions`, and `x_fov`, of the
     /// sensor or its class, where that is the angle. Matrices are set and read ([`Scene::to_world`]).
@@ -739,7 +745,8 @@ mod tests {
             ("lamp.intensity.value", ("lamp", "")),
             ("emitter.intensity.value_2", ("emitter", "_2")),
             ("sky_1.data", ("sky_1", "")),
-            ("sun.radiance.value", ("sun", "")),
+            ("lobe.radiance.value", ("lobe", "")),
+            ("sun.irradiance.value", ("sun", "")),
             ("anything_3", ("anything_3", "")),
         ] {
             assert_eq!(name_of_light(radiance), found);

@@ -16,7 +16,7 @@ use crate::error::SceneError;
 use crate::film::Image;
 use crate::math::{Rgb, Transform, angle, each};
 use crate::motion::Placement;
-use crate::params::{GradSink, ParamRef, ParamShape, Params, Theta};
+use crate::params::{ParamRef, ParamShape, Params};
 use crate::plugin::{FromNode, Node, Registry};
 use crate::shape::{SurfaceInteraction, lift3};
 use crate::texture::{self, Bitmap, RgbTexture, Texture, UvTransform, Wrap};
@@ -425,14 +425,8 @@ impl Emitter for Envmap {
         self.turned.rotation
     }
 
-    fn scatter_turn<P: Float>(
-        &self,
-        theta: &Theta<P>,
-        d: Vec3<P>,
-        adjoint: Vec3<P>,
-        grad: &mut impl GradSink<P>,
-    ) {
-        self.turned.scatter_turn(theta, d, adjoint, grad);
+    fn turned(&self) -> Option<&Placement> {
+        Some(&self.turned)
     }
 }
 

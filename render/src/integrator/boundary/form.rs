@@ -14,11 +14,11 @@ use crate::params::{GradSink, ParamRef, Theta};
 use crate::scene::Scene;
 use crate::shape::{SurfaceAdjoint, SurfaceInteraction};
 
-/// What moves: shapes, lights that are points, the camera.
+/// What moves: shapes, lights without area, the camera.
 pub(super) struct Moving {
     pub camera: bool,
     pub shapes: Vec<bool>,
-    /// Positions of lights that are points.
+    /// Positions of lights that are points, turns of parallel light.
     pub lights: Vec<ParamRef>,
     /// Running sums of how many of the shapes do.
     counts: Vec<u32>,
@@ -40,7 +40,7 @@ impl Moving {
         Self {
             camera: scene.camera.depends_on(&moves),
             lights: (scene.emitters().iter())
-                .filter(|e| e.is_delta() && !e.is_infinite())
+                .filter(|e| e.is_delta())
                 .filter_map(|e| e.moved_by().filter(|&p| moves(p)))
                 .collect(),
             shapes,
@@ -73,6 +73,8 @@ pub(super) enum Mover<P> {
     Camera(CameraSample<P>),
     /// A light that is a point, whose position is this parameter.
     Light(ParamRef),
+    /// The unit direction of parallel light, of the emitter with this index.
+    Parallel(u32, Vec3<P>),
 }
 
 /// A multiple of a velocity: of a point along `o`; along `d` besides, of the direction of a ray, or of the shading normal at
@@ -128,6 +130,12 @@ impl<P: Float> Term<P> {
                 form(ray.o, self.along.o) + form(ray.d, self.along.d)
             }
             Mover::Light(p) => form(array(|k| theta.get(p, k)).into(), self.along.o),
+            Mover::Parallel(light, d) => {
+                let turned = scene.emitters()[light as usize].turned();
+                let drift = turned.and_then(|turned| turned.drift(theta));
+                let d = Vec3::lift(d);
+                form(drift.map_or(d, |drift| drift.direction(d)), self.along.o)
+            }
         };
         sum - Const(sum.primal())
     }
@@ -155,6 +163,11 @@ impl<P: Float> Term<P> {
                     d: d * adjoint,
                 };
                 scene.camera.scatter_ray(theta, &at, &back, sink);
+            }
+            Mover::Parallel(light, at) => {
+                if let Some(turned) = scene.emitters()[light as usize].turned() {
+                    turned.scatter_direction(theta, at, o * adjoint, sink);
+                }
             }
             Mover::Light(p) => {
                 for (k, d) in o.to_array().into_iter().enumerate() {

@@ -52,7 +52,7 @@ use crate::edges::Inside;
 use crate::edges::crossing::Crossings;
 use crate::edges::film::{FilmCurves, FilmPoint, Sides};
 use crate::edges::{Dice, EdgePoint, Edges, Eye, Seeker, Surfaces};
-use crate::emitter::{AnyEmitter, Emitter};
+use crate::emitter::{AnyEmitter, Ball, Emitter};
 use crate::estimator::Strategy;
 use crate::math::{Frame, NOWHERE, Ray, RayAdjoint, Rgb, Segment};
 use crate::parallel;
@@ -151,6 +151,8 @@ struct Boundary<'a, P: Float> {
     surfaces: Surfaces<'a>,
     curves: FilmCurves,
     shadows: Lights,
+    /// Around the scene, if shadows are drawn from any light without area.
+    ball: Option<Ball>,
     /// How light goes on from what lights that are points illuminate, if paths are long enough for that.
     onwards: Option<particle::Context<'a, P>>,
     turning: Lights,
@@ -198,7 +200,8 @@ impl<'a, P: Float> Boundary<'a, P> {
         let curves = edges.on_film(&scene.camera, &scene.film, &of_film, crossings, &of_pair);
         let max_depth = context.settings.max_depth;
         let apart = |pair: &[u32; 2]| moving.parts(*pair);
-        let longer = max_depth > 2 && scene.emitters().iter().any(AnyEmitter::is_delta);
+        let deltas = scene.emitters().iter().any(AnyEmitter::is_delta);
+        let longer = max_depth > 2 && deltas;
         let lamp = |pair: [u32; 2]| pair.iter().any(|&shape| scene.is_lamp(shape));
         let crossed = [
             crossings.shapes().any(|pair| apart(&pair)),
@@ -215,6 +218,7 @@ impl<'a, P: Float> Boundary<'a, P> {
             surfaces: scene.surfaces(),
             curves,
             shadows: Lights::of(scene, max_depth, AnyEmitter::draws_shadows),
+            ball: (deltas.then(|| Ball::around(scene.shapes()))).flatten(),
             onwards: longer
                 .then(|| particle::Context::unchecked(scene, context.theta, context.settings)),
             turning: Lights::of(scene, max_depth, |e| scene.turns_away(e)),

@@ -33,7 +33,7 @@ use super::{Boundary, MODE, Source, wide};
 use crate::bsdf::{Bsdf, Shading};
 use crate::camera::{CameraSample, SightLine};
 use crate::edges::{EdgePoint, Eye, Seeker};
-use crate::emitter::{AnyEmitter, Ball, Emission, Emitter, Rays};
+use crate::emitter::{AnyEmitter, Emission, Emitter, Rays};
 use crate::math::{Frame, NOWHERE, Ray, Rgb, Segment};
 use crate::params::Theta;
 use crate::sampler::{Family, Points, Sampler, Spread};
@@ -183,7 +183,7 @@ impl<P: Float> Boundary<'_, P> {
 
     /// So far before the scene that all of it is about as far away.
     fn far_before(&self, direction: Vec3<f64>) -> Option<Vec3<f64>> {
-        let ball = Ball::around(self.surfaces.shapes)?;
+        let ball = self.ball?;
         Some(Vec3::from(ball.centre) - direction * (16.0 * ball.radius))
     }
 
@@ -262,8 +262,9 @@ impl<P: Float> Boundary<'_, P> {
         if wide(hit.si.n_geo).dot(edge.p - x).abs() <= beside {
             return None;
         }
+        let to_edge = (edge.p - x).length();
         let part = match start.eye {
-            Eye::Point { at, .. } => (edge.p - x).length() / (at - x).length(),
+            Eye::Point { at, .. } => to_edge / (at - x).length(),
             Eye::Parallel { .. } => 0.0,
         };
 
@@ -274,10 +275,16 @@ impl<P: Float> Boundary<'_, P> {
             Some((prim, shape, si)) => {
                 form.extend(self.material(*prim, *shape, || *si, n * -part));
             }
-            None if moves => {
-                let mover = emitter.moved_by().map(Mover::Light);
-                form.extend(mover.map(|mover| Term::point(mover, n * -part)));
-            }
+            None if moves => form.extend(match start.eye {
+                Eye::Point { .. } => {
+                    let mover = emitter.moved_by().map(Mover::Light);
+                    mover.map(|mover| Term::point(mover, n * -part))
+                }
+                Eye::Parallel { direction, .. } => {
+                    let mover = Mover::Parallel(light, direction.map(P::of));
+                    Some(Term::point(mover, n * to_edge))
+                }
+            }),
             None => {}
         }
         Some(Shade {

@@ -782,8 +782,10 @@ impl<'a, P: Float> Follow<'a, P> {
             adjoint.end.frame.n += Vec3::new(slope(2), slope(3), slope(4));
             adjoint.end.uv.x += slope(5);
             adjoint.end.uv.y += slope(6);
-        } else if self.active.moves_emitter(emitter) {
-            e.scatter_turn(self.theta, d, d_d, grad);
+        } else if self.active.moves_emitter(emitter)
+            && let Some(turned) = e.turned()
+        {
+            turned.scatter_turn(self.theta, d, d_d, grad);
         }
     }
 
@@ -802,6 +804,13 @@ impl<'a, P: Float> Follow<'a, P> {
         let mut d_w = Vec3::zero();
         let a = beta * s.le.scale(s.weight);
         self.scatters(place, [before, sample.d], s.wi, a, own, &mut d_w);
+        let moves = self.active.moves_emitter(s.emitter);
+        if let Some(turned) = e.turned() {
+            if moves {
+                turned.scatter_direction(self.theta, sample.d, d_w, grad);
+            }
+            return;
+        }
         // As the adjoint of the light.
         let mut d = (d_w - sample.d * sample.d.dot(d_w)) * sample.distance.recip();
         let var = |x: P, i: usize| Dual::<P, 3>::var(x, i);
@@ -815,7 +824,7 @@ impl<'a, P: Float> Follow<'a, P> {
         );
         own.end.p -= d;
         if let Some(p) = e.moved_by()
-            && self.active.moves_emitter(s.emitter)
+            && moves
         {
             grad.add_all(p, 0, d.to_array());
         }

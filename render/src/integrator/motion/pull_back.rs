@@ -37,6 +37,8 @@ enum Source<P> {
     Afar,
     /// A point that is a light.
     Light(Vec3<P>),
+    /// The direction of parallel light, which may turn.
+    Parallel,
 }
 
 /// A value of a material, and its adjoint.
@@ -226,7 +228,8 @@ impl<'a, P: Float> PullBack<'a, P> {
         point.si.frame.to_world(local)
     }
 
-    /// A value of the material of point `k`, for light from `source`. The adjoint of the place of a source that is a light.
+    /// A value of the material of point `k`, for light from `source`. The adjoint of the place of a source that is a light, of the
+    /// direction to parallel light.
     fn scattered(
         &mut self,
         k: usize,
@@ -246,7 +249,7 @@ impl<'a, P: Float> PullBack<'a, P> {
         let behind = match source {
             Source::Point(j) => self.points[j].moves,
             Source::Afar => false,
-            Source::Light(_) => true,
+            Source::Light(_) | Source::Parallel => true,
         };
         if a.is_black() || !(before || self.points[k].moves || behind) {
             return Vec3::zero();
@@ -274,6 +277,7 @@ impl<'a, P: Float> PullBack<'a, P> {
                 self.in_world(k, place.si.frame.to_world(wi), s.wi);
                 Vec3::zero()
             }
+            Source::Parallel => self.in_world(k, place.si.frame.to_world(wi), s.wi),
             Source::Light(at) => {
                 let d_i = self.in_world(k, self.direction(k, at), s.wi);
                 self.towards(k, at, d_i)
@@ -323,7 +327,7 @@ impl<'a, P: Float> PullBack<'a, P> {
         }
         let source = match e.rays(self.scene.lights()) {
             Some(Rays::From(_)) => Source::Light(place.si.p + sample.d * sample.distance),
-            Some(Rays::Along(_)) | None => Source::Afar,
+            Some(Rays::Along(_)) | None => Source::Parallel,
         };
         let mut d = self.scattered(k, place, ScatteredValue::of_light(s, a), source);
         let from = place.si.p;
@@ -338,10 +342,12 @@ impl<'a, P: Float> PullBack<'a, P> {
         );
         self.points[k].d.p += d_from;
         d -= d_from;
-        if let Some(p) = e.moved_by()
-            && moves
-        {
-            grad.add_all(p, 0, d.to_array());
+        if moves {
+            if let Some(turned) = e.turned() {
+                turned.scatter_direction(self.theta, sample.d, d, grad);
+            } else if let Some(p) = e.moved_by() {
+                grad.add_all(p, 0, d.to_array());
+            }
         }
     }
 
@@ -400,8 +406,10 @@ impl<'a, P: Float> PullBack<'a, P> {
             if slides {
                 end.uv += Vec2::new(slope(5), slope(6));
             }
-        } else if self.active.moves_emitter(emitter) {
-            e.scatter_turn(self.theta, d, d_d, grad);
+        } else if self.active.moves_emitter(emitter)
+            && let Some(turned) = e.turned()
+        {
+            turned.scatter_turn(self.theta, d, d_d, grad);
         }
     }
 
