@@ -220,6 +220,9 @@ const MOVING: &str = r#"<scene version="3.0.0">
   <rgb name="intensity" value="20"/><float name="cutoff_angle" value="40"/></emitter>
 <emitter type="envmap" id="sky"><string name="filename" value="sky.exr"/><transform name="to_world">
   <rotate y="1" angle="30"/></transform></emitter>
+<emitter type="directional" id="sun"><vector name="direction" value="0.3, -1, -0.2"/></emitter>
+<emitter type="directional" id="moon"><transform name="to_world"><lookat origin="0, 0, 0" target="-0.2, -1, 0.3"
+  up="0, 0, 1"/></transform><rgb name="irradiance" value="0.3"/></emitter>
 </scene>"#;
 
 fn moving() -> (tempfile::TempDir, Scene) {
@@ -257,7 +260,10 @@ fn what_has_moved_is_written_where_it_is() {
     let movables = scene.movables();
     let names: Vec<&str> = movables.iter().map(|m| m.name.as_str()).collect();
     assert!(
-        names.len() >= 33 && names.contains(&"copy.plate.scale"),
+        names.len() >= 35
+            && ["copy.plate.scale", "sun.rotation", "moon.rotation"]
+                .iter()
+                .all(|n| names.contains(n)),
         "{names:?}"
     );
     scene.make_movable(&names).expect("they may move");
