@@ -685,6 +685,23 @@ fn composites() -> Case {
     rows("composites", &balls, &plates)
 }
 
+/// The cabinet, where all indices have become others than those of the file.
+fn denser() -> (Case, Scene) {
+    let case = Case {
+        name: "denser",
+        ..cabinet(1e-2)
+    };
+    let mut scene = scene(&case.body);
+    let mut values = scene.params().values().to_vec();
+    for p in scene.params().infos() {
+        if p.name.ends_with(".eta.value") {
+            p.range().for_each(|i| values[i] *= 1.07);
+        }
+    }
+    scene.set_params(&values).expect("indices in their range");
+    (case, scene)
+}
+
 fn all() -> impl Iterator<Item = (Case, Scene)> {
     let cases = cases::all()
         .into_iter()
@@ -724,7 +741,7 @@ fn images_are_those_of_single_paths_bit_by_bit() {
         let scene = scene(&case.body);
         (case, scene)
     });
-    for (case, mut s) in all().chain(more).chain([strands()]) {
+    for (case, mut s) in all().chain(more).chain([strands(), denser()]) {
         let plain = s.settings;
         assert_same(case.name, &s, &plain, &[Mis, Detached, Emitter]);
         for points in [Points::Sobol, Points::Antithetic] {
