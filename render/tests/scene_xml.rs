@@ -104,10 +104,15 @@ fn wrong_types_and_ranges_name_the_line_and_the_key() {
 <string name="s" value="abc"/>
 <integer name="i" value="7"/>
 <transform name="t"/>
-<texture name="x" type="bitmap"/>"#,
+<texture name="x" type="bitmap"/>
+<point name="p" x="1" z="2"/>"#,
     );
     let bsdf = bsdf(&document);
-    let cases: [(SceneError, &str); 12] = [
+    let cases: [(SceneError, &str); 13] = [
+        (
+            bsdf.vector("p").unwrap_err(),
+            "<text>:8: `p`: expected a vector (<vector>), found <point> `1, 0, 2`",
+        ),
         (
             bsdf.integer("f").unwrap_err(),
             "<text>:3: `f`: expected an integer (<integer>), found <float> `0.5`",

@@ -126,6 +126,9 @@ impl Property {
     fn describe(&self) -> String {
         match self.value {
             Value::Transform(_) => "a <transform>".to_owned(),
+            Value::Point([x, y, z]) | Value::Vector([x, y, z]) if self.text.is_empty() => {
+                format!("<{}> `{x}, {y}, {z}`", self.tag)
+            }
             _ => format!("<{}> {}", self.tag, quoted(&self.text)),
         }
     }
