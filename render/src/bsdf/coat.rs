@@ -16,7 +16,7 @@ use super::rough_conductor::reflect;
 /// [`fresnel::dielectric_diffuse`], to 5e-6.
 ///
 /// # Derivatives
-/// Those of the spline; zero at an index of exactly one, where the slope jumps.
+/// Those of the spline; at an index of exactly one, where the slope jumps, that from above.
 pub fn diffuse_below<R: Real>(eta: R) -> R {
     const NODES: usize = 100;
     const STEP: f64 = 1.0 / 64.0;
@@ -26,15 +26,23 @@ pub fn diffuse_below<R: Real>(eta: R) -> R {
             fresnel::dielectric_diffuse((x * x).exp())
         })
     });
-    let dense = eta.primal() > R::Primal::one();
+    let dense = eta.primal() >= R::Primal::one();
     let ratio = R::select(dense, eta, eta.recip());
-    let (nodes, weights) = even_spline(ratio.ln().sqrt() * R::c(STEP.recip()), NODES);
+    let (nodes, weights) = even_spline(root(ratio) * R::c(STEP.recip()), NODES);
     let mut above = R::zero();
     for (i, w) in nodes.into_iter().zip(weights) {
         above += w * R::c(ABOVE[i]);
     }
     // What enters the denser side of what is diffuse, leaves it as well, from a cone that is the narrower the denser.
     R::select(dense, R::one() - (R::one() - above) / eta.square(), above)
+}
+
+/// The square root of the logarithm of an index, which is at least one. Where that has no slope, and below, it stands a
+/// millionth above: even functions have a slope in the index there.
+fn root<R: Real>(eta: R) -> R {
+    let least = R::Primal::of(1.0 + 1e-6);
+    let lacking = (least - eta.primal()).max(R::Primal::zero());
+    (eta + Const(lacking)).ln().sqrt()
 }
 
 /// How much light passes a rough coat, as a function of roughness, angle and index.
@@ -161,7 +169,7 @@ impl Coat {
     fn between<R: Real>(&self, alpha: R, eta: R) -> Box<[(Rough<'_, R>, R); 4]> {
         // Exactly at the place of this coat where the index is its own.
         let own = R::Primal::of(self.eta).ln().sqrt();
-        let steps = (eta.ln().sqrt() - Const(own)) * R::c(self.step.recip());
+        let steps = (root(eta) - Const(own)) * R::c(self.step.recip());
         let x = steps + R::c(self.place as f64);
         let (nodes, weights) = even_spline(x, self.others.len());
         Box::new(std::array::from_fn(|k| {
@@ -375,8 +383,13 @@ mod tests {
                 "{eta}: {found:?} {slope}"
             );
         }
-        let none = diffuse_below(D::var(1.0, 0));
-        assert!(none.re.abs() < 1e-5 && none.eps[0].is_finite(), "{none:?}");
+        // From above where there is no coat.
+        let [none, thin] = [1.0, 1.001].map(|eta| diffuse_below(D::var(eta, 0)));
+        assert!(none.re.abs() < 1e-5, "{none:?}");
+        assert!(
+            (none.eps[0] - thin.eps[0]).abs() < 0.05 * thin.eps[0],
+            "{none:?} {thin:?}"
+        );
     }
 
     /// Coats of other indices than the first are those that begin with these, and so are their slopes; at the first one
@@ -404,6 +417,14 @@ mod tests {
                 check(found.inside(), |p| p.inside());
                 check(found.transmit(D::of(0.9)), |p| p.transmit(0.9));
                 check(found.transmit(D::of(0.2)), |p| p.transmit(0.2));
+            }
+            let none = coat.passes(D::of(0.3), D::var(1.0, 0)).inside();
+            assert!(
+                none.re.abs() < 1e-5 && none.eps[0].abs() < 0.5,
+                "{first}: {none:?}"
+            );
+            if first == 1.0 {
+                continue;
             }
             let still = coat.passes(0.3f32, first as f32);
             let moves = coat.passes(
