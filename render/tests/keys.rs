@@ -148,7 +148,7 @@ fn patterns_fit_every_name() {
                 "ball.bsdf.specular_reflectance.value",
             ],
         ),
-        ("Sphere.bsdf.eta", &["ball.bsdf.eta.value"]),
+        ("ball.*.eta", &["ball.bsdf.eta.value"]),
         ("lamp.*", &["shape2.emitter.radiance.value"]),
         ("Disk.emitter*", &["shape2.emitter.radiance.value"]),
         ("*.emitter.*", &["shape2.emitter.radiance.value"]),
