@@ -144,9 +144,11 @@ fn patterns_fit_every_name() {
             "ball.*",
             &[
                 "floor.reflectance.data",
+                "ball.bsdf.eta.value",
                 "ball.bsdf.specular_reflectance.value",
             ],
         ),
+        ("ball.*.eta", &["ball.bsdf.eta.value"]),
         ("lamp.*", &["shape2.emitter.radiance.value"]),
         ("Disk.emitter*", &["shape2.emitter.radiance.value"]),
         ("*.emitter.*", &["shape2.emitter.radiance.value"]),

@@ -104,10 +104,15 @@ fn wrong_types_and_ranges_name_the_line_and_the_key() {
 <string name="s" value="abc"/>
 <integer name="i" value="7"/>
 <transform name="t"/>
-<texture name="x" type="bitmap"/>"#,
+<texture name="x" type="bitmap"/>
+<point name="p" x="1" z="2"/>"#,
     );
     let bsdf = bsdf(&document);
-    let cases: [(SceneError, &str); 12] = [
+    let cases: [(SceneError, &str); 13] = [
+        (
+            bsdf.vector("p").unwrap_err(),
+            "<text>:8: `p`: expected a vector (<vector>), found <point> `1, 0, 2`",
+        ),
         (
             bsdf.integer("f").unwrap_err(),
             "<text>:3: `f`: expected an integer (<integer>), found <float> `0.5`",
@@ -379,7 +384,7 @@ fn messages() {
         ),
         (
             "<point name=\"a\"/>",
-            "<text>:2: <point> has no `value`: expected an attribute, found nothing",
+            "<text>:2: <point> has no `value`: expected three numbers there, or some of `x`, `y` and `z`, found nothing",
         ),
         (
             "<vector name=\"a\" value=\"1 2 3\" x=\"1\"/>",
@@ -1192,6 +1197,67 @@ fn lamps_of_one_number() {
     for (found, expected) in energy.iter().zip([1.2048, 0.9483, 0.9089]) {
         assert!((found - 2.0 * expected).abs() < 1e-3, "{energy:?}");
     }
+}
+
+/// Names with backslashes, or with other capitals than the file has, and a warning; the file of the very name comes first,
+/// and one of several that are meant alike is not guessed.
+#[test]
+#[cfg(target_os = "linux")]
+fn names_of_files_may_be_those_of_other_systems() {
+    let plugin = |name: &str| {
+        scene(&format!(
+            "<bsdf type=\"x\"><string name=\"f\" value=\"{name}\"/></bsdf>"
+        ))
+    };
+    let dir = folder(&[
+        ("parts/Wood.PNG", ""),
+        ("parts/grey.png", ""),
+        ("parts/Grey.png", ""),
+        ("both.png", ""),
+        ("a.xml", &plugin("Parts\\wood.png")),
+        ("b.xml", &plugin("parts/wood.png")),
+        ("c.xml", &plugin("parts/Wood.PNG")),
+        ("d.xml", &plugin("parts\\grey.png")),
+        ("e.xml", &plugin("parts/GREY.png")),
+        ("f.xml", &plugin("parts\\..\\Both.png")),
+        ("g.xml", &plugin("parts\\none.png")),
+        ("inner/h.xml", &plugin("a.png")),
+        ("i.xml", &include("Inner\\H.xml")),
+        (
+            "j.xml",
+            &scene(
+                "<path value=\"PARTS\"/>\n<bsdf type=\"x\"><string name=\"f\" value=\"Wood.PNG\"/></bsdf>",
+            ),
+        ),
+    ]);
+    let load = |name: &str| Document::load(&dir.path().join(name), &[]).unwrap();
+    for (file, found, warnings) in [
+        ("a.xml", "parts/Wood.PNG", 1),
+        ("b.xml", "parts/Wood.PNG", 1),
+        ("c.xml", "parts/Wood.PNG", 0),
+        ("d.xml", "parts/grey.png", 1),
+        ("f.xml", "both.png", 1),
+        ("j.xml", "parts/Wood.PNG", 1),
+    ] {
+        let document = load(file);
+        let path = bsdf(&document).path("f").unwrap().unwrap();
+        let [path, expected] = [path, dir.path().join(found)].map(|p| p.canonicalize().unwrap());
+        assert_eq!(path, expected, "{file}");
+        assert_eq!(document.warnings().len(), warnings, "{file}");
+    }
+    let document = load("a.xml");
+    bsdf(&document).path("f").unwrap();
+    let warning = document.warnings()[0].to_string();
+    assert!(
+        warning.contains("a.xml:2: bsdf `x`: `f`: there is no `Parts\\wood.png`; "),
+        "{warning}"
+    );
+    assert!(warning.ends_with("Wood.PNG is read instead"), "{warning}");
+    for file in ["e.xml", "g.xml"] {
+        let error = bsdf(&load(file)).path("f").unwrap_err().to_string();
+        assert!(error.contains("an existing file"), "{error}");
+    }
+    assert_eq!(load("i.xml").warnings().len(), 1);
 }
 
 #[test]

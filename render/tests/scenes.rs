@@ -379,8 +379,8 @@ fn integrators_of_others() {
         ),
         (
             "<shape type=\"sphere\"><bsdf type=\"diffuse\"><texture type=\"checkerboard\" name=\"reflectance\">\
-             <texture type=\"bitmap\" name=\"color0\"/></texture></bsdf></shape>",
-            "<text>:2: texture `bitmap`: textures in a `checkerboard` are not there",
+             <texture type=\"checkerboard\" name=\"color0\"/></texture></bsdf></shape>",
+            "<text>:2: texture `checkerboard`: textures in a `checkerboard` other than images are not there",
         ),
         (
             "<shape type=\"shape\"/>",

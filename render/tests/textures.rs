@@ -3,10 +3,10 @@
 use std::path::Path;
 
 use ad_core::Vec2;
-use render::bsdf::{Bsdf, Shading, TransportMode};
+use render::bsdf::{Bsdf, Shading, TextureRef, TransportMode};
 use render::image_io::{Pixels, srgb_to_linear, write_exr_pixels};
-use render::math::Vec3;
-use render::params::{ParamShape, Theta};
+use render::math::{Rgb, Vec3};
+use render::params::{GradSink, ParamRef, ParamShape, Theta};
 use render::scene::LoadOptions;
 use render::{Scene, SceneError};
 use tempfile::TempDir;
@@ -168,6 +168,90 @@ fn checkerboards_have_two_colours() {
     assert_near(albedo(&scene, [0.1, 0.1]), [0.4; 3]);
     assert_near(albedo(&scene, [0.3, 0.1]), [0.9, 0.1, 0.2]);
     assert_near(albedo(&scene, [0.3, 0.4]), [0.4; 3]);
+}
+
+/// At coordinates of the surface, whatever the squares are.
+#[test]
+fn checkerboards_show_images() {
+    let texture = format!(
+        r#"<texture name="reflectance" type="checkerboard">{}<rgb name="color1" value="0.9 0.1 0.2"/>
+        <transform name="to_uv"><scale x="2" y="2"/></transform></texture>"#,
+        bitmap("color0", "rgb.png", RAW)
+    );
+    let board = load(&wall(&texture)).unwrap();
+    let image = load(&wall(&bitmap("reflectance", "rgb.png", RAW))).unwrap();
+    let names: Vec<_> = board.params().infos().iter().map(|i| &i.name[..]).collect();
+    let of = |name| format!("s.bsdf.reflectance.{name}");
+    assert_eq!(names, [of("color0.data"), of("color1.value")]);
+    assert_near(albedo(&board, [0.1, 0.1]), albedo(&image, [0.1, 0.1]));
+    assert_near(albedo(&board, [0.3, 0.4]), albedo(&image, [0.3, 0.4]));
+    assert_near(albedo(&board, [0.3, 0.1]), [0.9, 0.1, 0.2]);
+    // Where the image is not there and may be absent, a constant stands for it.
+    let missing = wall(&texture.replace("rgb.png", "none.png"));
+    let (scene, warnings) = load_in(folder().path(), &missing, true).unwrap();
+    assert_near(albedo(&scene, [0.1, 0.1]), [0.5; 3]);
+    assert!(warnings[0].contains("none.png"), "{warnings:?}");
+}
+
+/// A derivative for each parameter.
+struct Gradient(Vec<f32>);
+
+impl GradSink<f32> for Gradient {
+    fn active(&self, _: ParamRef) -> bool {
+        true
+    }
+
+    fn add(&mut self, param: ParamRef, i: usize, d: f32) {
+        self.0[param.offset as usize + i] += d;
+    }
+}
+
+/// Numbers are on the other squares, as without images; the texels of both squares have their derivatives.
+#[test]
+fn squares_of_images_scatter_what_they_show() {
+    let texture = format!(
+        r#"<texture name="alpha" type="checkerboard">{}{}</texture>"#,
+        bitmap("color0", "grey.exr", ""),
+        bitmap(
+            "color1",
+            "grey.exr",
+            r#"<string name="filter_type" value="nearest"/>"#
+        )
+    );
+    let metal = format!(
+        r#"<shape type="rectangle" id="s"><bsdf type="roughconductor">{texture}</bsdf></shape>"#
+    );
+    let scene = load(&metal).unwrap();
+    let mut values = scene.params().values().to_vec();
+    let [smooth, nearest] = ["color0", "color1"].map(|name| {
+        let name = format!("s.bsdf.alpha.{name}.data");
+        scene.params().find(&name).unwrap().range()
+    });
+    values[nearest.clone()].fill(0.9);
+    let mut alpha = None;
+    scene.materials()[0].visit_textures(&mut |t| {
+        if let TextureRef::Alpha(t) = t {
+            alpha = Some(t.clone());
+        }
+    });
+    let alpha = alpha.unwrap();
+    let theta = Theta::<f32>::constant(&values);
+    assert_eq!(alpha.eval(&theta, Vec2::new(0.2, 0.3)), [0.9]);
+    for [x, y] in [[0.2, 0.3], [0.7, 0.2], [0.1, 0.8], [0.9, 0.6]] {
+        let uv = Vec2::new(x, y);
+        let mut gradient = Gradient(vec![0.0; values.len()]);
+        alpha.scatter(uv, Rgb::splat(1.0), &mut gradient);
+        let shown = if (x > 0.5) == (y > 0.5) {
+            &nearest
+        } else {
+            &smooth
+        };
+        let terms = gradient.0.iter().zip(&values);
+        let sum: f32 = terms.map(|(d, v)| d * v).sum();
+        assert!((sum - 3.0 * alpha.eval(&theta, uv)[0]).abs() < 1e-5);
+        let mut all = gradient.0.iter().enumerate();
+        assert!(all.all(|(i, d)| *d == 0.0 || shown.contains(&i)));
+    }
 }
 
 /// As Mitsuba 3 has it.

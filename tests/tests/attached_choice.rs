@@ -153,9 +153,11 @@ fn what_mixtures_lack_is_the_change_of_their_density() {
 fn nothing_changes_but_derivatives_in_what_choices_depend_on() {
     let choices = [
         "rough dielectric: ball.bsdf.eta.value",
+        "plastic: ball.bsdf.eta.value",
         "plastic: ball.bsdf.diffuse_reflectance.value",
         "plastic: ball.bsdf.specular_reflectance.value",
         "rough plastic: ball.bsdf.alpha.value",
+        "rough plastic: ball.bsdf.eta.value",
         "rough plastic: ball.bsdf.diffuse_reflectance.value",
         "rough plastic: ball.bsdf.specular_reflectance.value",
         "blinn-phong: ball.bsdf.diffuse_reflectance.value",
@@ -230,7 +232,7 @@ fn reverse_equals_forward_where_channels_mix() {
     let params: Vec<_> = (smooth_params(&s).into_iter())
         .filter(|p| p.name.starts_with("map"))
         .collect();
-    assert_eq!(params.len(), 10);
+    assert_eq!(params.len(), 11);
     let adjoint: Vec<f32> = (0..s.film.pixels() * 3).map(|i| noise(i) as f32).collect();
     let g = reverse_by::<f64, Wrong<DetachedMis>>(&s, &params, &adjoint, &s.settings, 5, 64);
     let mis = reverse_by::<f64, DetachedMis>(&s, &params, &adjoint, &s.settings, 5, 64);

@@ -176,6 +176,20 @@ fn the_schema_knows_all_that_may_stand_somewhere() {
             "{plugin}"
         );
     }
+    // So are plugins of `<default>`s, wherever a plugin may stand.
+    let of_default = schema
+        .descendants()
+        .find(|n| n.has_tag_name("define") && n.attribute("name") == Some("of_default"));
+    let tags = of_default.unwrap().descendants();
+    let tags: BTreeSet<_> = tags
+        .filter(|n| n.has_tag_name("name"))
+        .filter_map(|n| n.text())
+        .collect();
+    assert_eq!(tags, BTreeSet::from(PLUGINS));
+    // Names of plugins may be in capitals.
+    assert!(text.contains(
+        "<value>disk</value><data type=\"string\"><param name=\"pattern\">[Dd][Ii][Ss][Kk]</param></data>"
+    ));
     // Others are strict.
     let define = schema
         .descendants()

@@ -195,6 +195,13 @@ fn court() -> (Case, Scene) {
     let floor = tiled("");
     let turned = tiled(r#"<string name="wrap_mode" value="mirror"/>"#);
     let squares = tiled(r#"<string name="filter_type" value="nearest"/>"#);
+    let board = format!(
+        r#"<bsdf type="roughplastic"><texture type="checkerboard" name="diffuse_reflectance">
+           <texture type="bitmap" name="color0"><string name="filename" value="{tiles}"/></texture>
+           <rgb name="color1" value="0.2, 0.4, 0.6"/></texture><texture type="checkerboard" name="alpha">
+           <float name="color0" value="0.3"/><texture type="bitmap" name="color1"><string name="filename" value="{tiles}"/>
+           <string name="filter_type" value="nearest"/></texture></texture></bsdf>"#
+    );
     let lamp = |at: &str, radiance: &str| {
         format!(
             r#"<shape type="rectangle"><transform name="to_world"><scale value="0.3"/><rotate x="1" angle="90"/>{at}</transform>
@@ -225,6 +232,7 @@ fn court() -> (Case, Scene) {
         ball(0.8, &mirror("none")),
         ball(-1.6, &turned),
         ball(1.6, &squares),
+        ball(2.4, &board),
         lamp(r#"<translate x="-0.7" y="1.2"/>"#, "7, 6, 5"),
         lamp(r#"<translate x="0.7" y="1.4"/>"#, "3, 4, 5"),
         format!(
@@ -677,6 +685,23 @@ fn composites() -> Case {
     rows("composites", &balls, &plates)
 }
 
+/// The cabinet, where all indices have become others than those of the file.
+fn denser() -> (Case, Scene) {
+    let case = Case {
+        name: "denser",
+        ..cabinet(1e-2)
+    };
+    let mut scene = scene(&case.body);
+    let mut values = scene.params().values().to_vec();
+    for p in scene.params().infos() {
+        if p.name.ends_with(".eta.value") {
+            p.range().for_each(|i| values[i] *= 1.07);
+        }
+    }
+    scene.set_params(&values).expect("indices in their range");
+    (case, scene)
+}
+
 fn all() -> impl Iterator<Item = (Case, Scene)> {
     let cases = cases::all()
         .into_iter()
@@ -716,7 +741,7 @@ fn images_are_those_of_single_paths_bit_by_bit() {
         let scene = scene(&case.body);
         (case, scene)
     });
-    for (case, mut s) in all().chain(more).chain([strands()]) {
+    for (case, mut s) in all().chain(more).chain([strands(), denser()]) {
         let plain = s.settings;
         assert_same(case.name, &s, &plain, &[Mis, Detached, Emitter]);
         for points in [Points::Sobol, Points::Antithetic] {

@@ -4,36 +4,52 @@ use std::f64::consts::FRAC_1_PI;
 
 use ad_core::{Const, Real, Vec3};
 
-use super::dielectric::relative_index;
+use super::dielectric::{INDEX_RANGE, relative_index, wrong_index};
 use super::{
-    BsdfSample, Component, DeltaKind, Leaf, Lobe, Reader, TransportMode, constant, fresnel,
+    BsdfSample, Component, DeltaKind, Leaf, Lobe, Reader, TransportMode, coat, constant, fresnel,
 };
 use crate::error::SceneError;
 use crate::math::{Rgb, both, warp};
 use crate::plugin::{FromNode, Node, Registry};
-use crate::texture::RgbTexture;
+use crate::texture::{RgbTexture, ScalarTexture};
 
-/// Colours of a coated diffuse surface.
+/// Colours and index of a coated diffuse surface.
 #[derive(Clone, Debug)]
 pub struct Coated {
     /// Albedo of the base, in [0, 1].
     pub diffuse_reflectance: RgbTexture,
     /// Factor on the reflection of the coat, in [0, 1]; 1 is physical.
     pub specular_reflectance: RgbTexture,
-    /// Index of the coat over that above it; not a parameter.
-    pub eta: f64,
+    /// Index of the coat over that above it.
+    pub eta: ScalarTexture,
+    /// The number that `eta` begins with. What passes the coat is known there; elsewhere it is interpolated.
+    pub first_eta: f32,
     /// Whether the base's colour is saturated by light that the coat sends back to it.
     pub nonlinear: bool,
 }
 
 impl Coated {
     /// `diffuse_reflectance` (0.5), `specular_reflectance` (1), `int_ior` (`polypropylene`), `ext_ior`
-    /// (`air`), `nonlinear` (false).
+    /// (`air`), `nonlinear` (false). A rough coat is denser than what is above it: where total reflection begins, a
+    /// [`Coat`](super::Coat) is not exact.
     ///
     /// # Errors
     /// Anything out of range.
-    pub fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
-        let eta = relative_index(node, "polypropylene")?;
+    pub fn from_node(
+        node: &Node,
+        registry: &mut Registry,
+        rough: bool,
+    ) -> Result<Self, SceneError> {
+        let index = relative_index(node, "polypropylene")?;
+        let (thinnest, densest) = INDEX_RANGE;
+        let valid = (if rough { 1.0 } else { thinnest }, densest);
+        if index < valid.0 {
+            let expected = "a rough coat denser than what is above it (a smooth one, `plastic`, may be either)";
+            return Err(wrong_index(node, expected));
+        }
+        let name = format!("{}.eta.value", registry.prefix());
+        let eta = registry.scalar(&name, index, valid)?;
+        eta.visit_params(&mut |p| registry.origins.of_index(node, p));
         Ok(Self {
             diffuse_reflectance: registry.rgb_texture(
                 node,
@@ -48,6 +64,7 @@ impl Coated {
                 (0.0, 1.0),
             )?,
             eta,
+            first_eta: index as f32,
             nonlinear: node.boolean_or("nonlinear", false)?,
         })
     }
@@ -61,7 +78,7 @@ pub struct CoatedLobe<R: Real> {
     /// Factor on the reflection of the coat.
     pub specular_reflectance: Rgb<R>,
     /// Index of the coat over that above it.
-    pub eta: R::Primal,
+    pub eta: R,
     /// See [`Coated::nonlinear`].
     pub nonlinear: bool,
 }
@@ -72,7 +89,7 @@ impl<R: Real> CoatedLobe<R> {
         Self {
             diffuse_reflectance: read.rgb(&coated.diffuse_reflectance),
             specular_reflectance: read.rgb(&coated.specular_reflectance),
-            eta: R::Primal::of(coated.eta),
+            eta: read.scalar(&coated.eta),
             nonlinear: coated.nonlinear,
         }
     }
@@ -81,8 +98,13 @@ impl<R: Real> CoatedLobe<R> {
     /// included; `inside` is what the coat reflects back of diffuse light from below.
     #[inline(always)]
     pub(super) fn diffuse(&self, cos_i: R, t_i: R, t_o: R, inside: R) -> Rgb<R> {
-        let inverse = R::Primal::one() / (self.eta * self.eta);
-        let entering = cos_i * t_i * t_o * Const(inverse) * R::c(FRAC_1_PI);
+        let passes = cos_i * t_i * t_o;
+        let entering = if !R::IS_PRIMAL && self.eta.has_tangent() {
+            passes * self.eta.square().recip()
+        } else {
+            let eta = self.eta.primal();
+            passes * Const(R::Primal::one() / (eta * eta))
+        } * R::c(FRAC_1_PI);
         self.diffuse_reflectance.map(|albedo| {
             let again = R::select(self.nonlinear, albedo * inside, inside);
             albedo * entering / (R::one() - again)
@@ -119,8 +141,8 @@ fn choice<R: Real>(f: R, [specular, diffuse]: [Rgb<R>; 2]) -> R {
 pub struct Plastic {
     /// Colours and index.
     pub coated: Coated,
-    /// Reflectance of the coat for diffuse light from below.
-    inside: f64,
+    /// Reflectance of the coat for diffuse light from below, for the index that it begins with.
+    first_inside: f64,
 }
 
 /// Mirror reflection by the coat, and what comes back from below it: the model of Mitsuba's
@@ -133,14 +155,32 @@ pub struct PlasticLobe<R: Real> {
     /// Colours and index.
     pub coated: CoatedLobe<R>,
     /// Reflectance of the coat for diffuse light from below.
-    pub inside: R::Primal,
+    pub inside: R,
 }
 
 impl Plastic {
     /// From its colours and index.
     pub fn new(coated: Coated) -> Self {
-        let inside = fresnel::dielectric_diffuse(1.0 / coated.eta);
-        Self { coated, inside }
+        let first_inside = coat::diffuse_below(f64::from(coated.first_eta));
+        Self {
+            coated,
+            first_inside,
+        }
+    }
+
+    /// Reflectance of a coat of index `eta` for diffuse light from below: the same number over any scalar.
+    #[inline]
+    fn inside<R: Real>(&self, eta: R) -> R {
+        let known = R::Primal::of(self.first_inside);
+        let first = eta.primal() == R::Primal::of(self.coated.first_eta.into());
+        if first && (R::IS_PRIMAL || !eta.has_tangent()) {
+            return R::lift(known);
+        }
+        let inside = coat::diffuse_below(eta);
+        match first {
+            true => inside + Const(known - inside.primal()),
+            false => inside,
+        }
     }
 }
 
@@ -149,17 +189,16 @@ impl Leaf for Plastic {
 
     #[inline]
     fn lobe<R: Real>(&self, read: &mut impl Reader<R>) -> PlasticLobe<R> {
-        PlasticLobe {
-            coated: CoatedLobe::read(&self.coated, read),
-            inside: R::Primal::of(self.inside),
-        }
+        let coated = CoatedLobe::read(&self.coated, read);
+        let inside = self.inside(coated.eta);
+        PlasticLobe { coated, inside }
     }
 }
 
 impl<R: Real> PlasticLobe<R> {
     #[inline(always)]
     fn coat(&self, w: Vec3<R>) -> fresnel::Dielectric<R> {
-        fresnel::dielectric(w.z, R::lift(self.coated.eta))
+        fresnel::dielectric(w.z, self.coated.eta)
     }
 
     #[inline(always)]
@@ -173,8 +212,7 @@ impl<R: Real> PlasticLobe<R> {
         let (coat_o, coat_i) = (self.coat(wo), self.coat(wi));
         let base = R::Primal::one() - self.coated.choose_coat(coat_o.reflect.primal());
         let pdf = warp::cosine_hemisphere_pdf(wi.z) * Const(base);
-        let inside = R::lift(self.inside);
-        let f = (self.coated).diffuse(wi.z, coat_i.transmit, coat_o.transmit, inside);
+        let f = (self.coated).diffuse(wi.z, coat_i.transmit, coat_o.transmit, self.inside);
         let lit = above(wo) & above(wi);
         let f = Rgb::select(lit, f, Rgb::black());
         (f, R::select(above(wo), pdf, R::zero()))
@@ -207,7 +245,7 @@ impl<R: Real> Lobe<R> for PlasticLobe<R> {
             return Rgb::black();
         }
         let (t_i, t_o) = (self.coat(wi).transmit, self.coat(wo).transmit);
-        self.coated.diffuse(wi.z, t_i, t_o, R::lift(self.inside))
+        self.coated.diffuse(wi.z, t_i, t_o, self.inside)
     }
 
     #[inline]
@@ -280,6 +318,6 @@ impl FromNode for Plastic {
 
     /// As [`Coated::from_node`].
     fn from_node(node: &Node, registry: &mut Registry) -> Result<Self, SceneError> {
-        Coated::from_node(node, registry).map(Self::new)
+        Coated::from_node(node, registry, false).map(Self::new)
     }
 }

@@ -40,20 +40,23 @@ const COMMON: &str = r#"<define name="value"><attribute name="value"/></define>
 <element name="include"><attribute name="filename"/></element>
 <element name="path"><ref name="value"/></element>
 <element name="alias"><attribute name="id"/><attribute name="as"/></element>
-<element name="default"><attribute name="name"/><ref name="value"/></element></choice></define>
+<element name="default"><attribute name="name"/><ref name="value"/></element>
+<ref name="of_default"/></choice></define>
 "#;
 
 impl Scene {
     /// A schema of scene files, RELAX NG in its XML syntax: every plugin with its attributes and what may stand there. It is
     /// made by asking: each plugin is built, and what it asks for is written down. Names from before version 2, which are
     /// upgraded, are in it in their own case and with the attributes that they are given; where another plugin stands in,
-    /// anything may stand inside.
+    /// anything may stand inside, and so it may where the plugin is that of a `<default>`. Plugins are known in capitals, too,
+    /// which editors do not propose.
     ///
     /// # Does not handle
     /// Which attributes a plugin cannot do without, or not have together, and what values mean: [`Scene::check`] does.
     pub fn schema() -> String {
         let mut out = String::from(
-            "<?xml version=\"1.0\" encoding=\"utf-8\"?>\n<grammar xmlns=\"http://relaxng.org/ns/structure/1.0\">\n<start>\
+            "<?xml version=\"1.0\" encoding=\"utf-8\"?>\n<grammar xmlns=\"http://relaxng.org/ns/structure/1.0\"\n\
+             datatypeLibrary=\"http://www.w3.org/2001/XMLSchema-datatypes\">\n<start>\
              <element name=\"scene\"><attribute name=\"version\"/><zeroOrMore><choice>\n<ref name=\"directives\"/>\n",
         );
         let all = plugins();
@@ -62,6 +65,13 @@ impl Scene {
         }
         out.push_str("</choice></zeroOrMore></element></start>\n");
         out.push_str(COMMON);
+        let tags: String = (all.iter().map(|(tag, _)| format!("<name>{tag}</name>"))).collect();
+        let _ = writeln!(
+            out,
+            "<define name=\"of_default\"><element><choice>{tags}</choice><attribute name=\"type\">{}</attribute>\
+             <ref name=\"id\"/><ref name=\"name\"/><ref name=\"inside\"/></element></define>",
+            pattern(".*[$].*")
+        );
         for (tag, plugins) in &all {
             let _ = writeln!(out, "<define name=\"{tag}\"><choice>");
             let old = OLD
@@ -89,8 +99,9 @@ impl Scene {
 fn define(out: &mut String, tag: &str, plugin: &str, asked: &Asked) {
     let _ = writeln!(
         out,
-        "<define name=\"{tag}.{plugin}\"><element name=\"{tag}\"><attribute name=\"type\"><value>{plugin}</value>\
-         </attribute><ref name=\"id\"/><ref name=\"name\"/><zeroOrMore><choice>\n<ref name=\"directives\"/>"
+        "<define name=\"{tag}.{plugin}\"><element name=\"{tag}\"><attribute name=\"type\"><choice><value>{plugin}</value>{}\
+         </choice></attribute><ref name=\"id\"/><ref name=\"name\"/><zeroOrMore><choice>\n<ref name=\"directives\"/>",
+        pattern(&in_any_case(plugin))
     );
     let textured = |kinds: &BTreeSet<Kind>| kinds.contains(&Kind::Child) || kinds.len() == 1;
     let nested = |(name, kinds): (&String, &BTreeSet<Kind>)| {
@@ -123,6 +134,20 @@ fn define(out: &mut String, tag: &str, plugin: &str, asked: &Asked) {
         }
     }
     out.push_str("</choice></zeroOrMore></element></define>\n");
+}
+
+/// A text that matches a regular expression.
+fn pattern(expression: &str) -> String {
+    format!("<data type=\"string\"><param name=\"pattern\">{expression}</param></data>")
+}
+
+/// The regular expression of a name in small or capital letters.
+fn in_any_case(name: &str) -> String {
+    let either = |c: char| match c.is_ascii_lowercase() {
+        true => format!("[{}{c}]", c.to_ascii_uppercase()),
+        false => c.to_string(),
+    };
+    name.chars().map(either).collect()
 }
 
 /// A name, and how files of before version 2 spell it: `int_ior`, `intIor`, `intIOR`.

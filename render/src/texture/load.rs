@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use super::{Bitmap, Checkerboard, RgbTexture, ScalarTexture, Texture, UvTransform, Wrap};
+use super::{Bitmap, Checkerboard, RgbTexture, ScalarTexture, Square, Texture, UvTransform, Wrap};
 use crate::error::{SceneError, quoted};
 use crate::image_io::{self, Encoding};
 use crate::params::{ParamRef, ParamShape};
@@ -477,33 +477,57 @@ fn checkerboard<const C: usize>(
     node: &Node,
     usage: &Use,
 ) -> Result<Texture<C>, SceneError> {
-    let mut color = |key: &str, default: f64| -> Result<ParamRef, SceneError> {
-        if let Some(inside) = node
-            .child(key)
-            .filter(|t| t.tag == "texture" && !t.is_constant())
-        {
-            return Err(inside.refused("textures in a `checkerboard` are"));
-        }
-        let mut value = constant_of::<C>(node, key)?.unwrap_or_else(|| vec![default; C]);
-        raise(node, key, &mut value, usage.valid);
-        let shape = match C {
-            1 => ParamShape::Scalar,
-            _ => ParamShape::Rgb,
-        };
-        let name = format!("{}.{key}.value", usage.name);
-        let param = registry.push_param(&name, shape, &value, usage.valid)?;
-        registry.origins.of_value(node, key, param);
-        Ok(param)
-    };
-    let mut colors = [color("color0", 0.4)?, color("color1", 0.2)?];
+    let mut colors = [
+        square::<C>(registry, node, usage, "color0", 0.4)?,
+        square::<C>(registry, node, usage, "color1", 0.2)?,
+    ];
     // As Mitsuba 3 draws it, where numbers have the other squares than colours.
     if C == 1 {
         colors.swap(0, 1);
     }
-    Ok(Texture::Checkerboard(Checkerboard {
-        colors,
-        to_uv: to_uv(node)?,
-    }))
+    let to_uv = to_uv(node)?;
+    Ok(match colors {
+        [Square::Constant(a), Square::Constant(b)] => Texture::Checkerboard(Checkerboard {
+            colors: [a, b],
+            to_uv,
+        }),
+        colors => Texture::Squares(Box::new(Checkerboard { colors, to_uv })),
+    })
+}
+
+/// What is in every other square of a checkerboard: a constant or an image.
+fn square<const C: usize>(
+    registry: &mut Registry,
+    node: &Node,
+    usage: &Use,
+    key: &str,
+    default: f64,
+) -> Result<Square, SceneError> {
+    let name = format!("{}.{key}", usage.name);
+    let inside = (node.child(key)).filter(|t| t.tag == "texture" && !t.is_constant());
+    if let Some(inside) = inside {
+        if ["checkerboard", "mesh_attribute"].contains(&inside.plugin.as_str()) {
+            return Err(inside.refused("textures in a `checkerboard` other than images are"));
+        }
+        let usage = Use {
+            name: &name,
+            ..*usage
+        };
+        return match from_plugin::<C>(registry, inside, &usage)? {
+            Texture::Constant(p) => Ok(Square::Constant(p)),
+            Texture::Bitmap(t) => Ok(Square::Bitmap(t)),
+            _ => Err(inside.refused("textures in a `checkerboard` other than images are")),
+        };
+    }
+    let mut value = constant_of::<C>(node, key)?.unwrap_or_else(|| vec![default; C]);
+    raise(node, key, &mut value, usage.valid);
+    let shape = match C {
+        1 => ParamShape::Scalar,
+        _ => ParamShape::Rgb,
+    };
+    let param = registry.push_param(&format!("{name}.value"), shape, &value, usage.valid)?;
+    registry.origins.of_value(node, key, param);
+    Ok(Square::Constant(param))
 }
 
 /// An attribute of the mesh whose shape is being built; its values are the parameter of that name of the shape.

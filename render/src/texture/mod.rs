@@ -25,7 +25,7 @@ mod load;
 pub use attribute::Attribute;
 pub(crate) use attribute::{CELL_BEGIN, CELL_FILLED, columns, place};
 pub use bitmap::{Bitmap, UvTransform, Wrap};
-pub use checkerboard::Checkerboard;
+pub use checkerboard::{Checkerboard, Square};
 pub(crate) use load::{PLUGINS, Use, encoding, file, from_plugin, texels, times};
 
 use ad_core::{Const, Float, Real, Vec2, array};
@@ -43,6 +43,30 @@ pub struct Footprint<R> {
     pub texel: [u32; 4],
     /// Interpolation weight; sums to one.
     pub weight: [R; 4],
+}
+
+impl<R: Real> Footprint<R> {
+    /// Of a constant.
+    #[inline(always)]
+    fn single(param: ParamRef) -> Self {
+        Self {
+            param,
+            texel: [0; 4],
+            weight: [R::one(), R::zero(), R::zero(), R::zero()],
+        }
+    }
+}
+
+impl<R: Real> Footprint<[R; 2]> {
+    /// No slopes.
+    #[inline(always)]
+    fn flat(param: ParamRef) -> Self {
+        Self {
+            param,
+            texel: [0; 4],
+            weight: [[R::zero(); 2]; 4],
+        }
+    }
 }
 
 impl<P: Float> Footprint<P> {
@@ -71,6 +95,8 @@ pub enum Texture<const C: usize> {
     Bitmap(Bitmap),
     /// Two colours in alternating squares.
     Checkerboard(Checkerboard),
+    /// The same with images in some of the squares.
+    Squares(Box<Checkerboard<Square>>),
     /// Numbers of a mesh.
     Attribute(Attribute),
 }
@@ -102,7 +128,8 @@ impl<const C: usize> Texture<C> {
             Self::Constant(p) => decode(theta.texel(*p, 0)),
             Self::Bitmap(t) => outline(|| interpolated(t, theta, uv, decode)),
             Self::Attribute(t) => outline(|| interpolated(t, theta, uv, decode)),
-            Self::Checkerboard(t) => decode(theta.texel(t.select(uv.primal()), 0)),
+            Self::Checkerboard(t) => decode(theta.texel(*t.select(uv.primal()), 0)),
+            Self::Squares(t) => outline(|| interpolated(t.select(uv.primal()), theta, uv, decode)),
         }
     }
 
@@ -124,7 +151,8 @@ impl<const C: usize> Texture<C> {
             Self::Constant(p) => put(grad, *p, 0, P::one(), d),
             Self::Bitmap(t) => outline(move || scatter(&t.footprint(uv), d, grad)),
             Self::Attribute(t) => outline(move || scatter(&t.footprint(uv), d, grad)),
-            Self::Checkerboard(t) => put(grad, t.select(uv), 0, P::one(), d),
+            Self::Checkerboard(t) => put(grad, *t.select(uv), 0, P::one(), d),
+            Self::Squares(t) => outline(move || scatter(&t.select(uv).footprint(uv), d, grad)),
         }
     }
 
@@ -154,15 +182,11 @@ impl<const C: usize> Texture<C> {
     /// The texels and weights of a lookup at `uv`.
     #[inline]
     pub(crate) fn footprint<R: Real>(&self, uv: Vec2<R>) -> Footprint<R> {
-        let single = |param| Footprint {
-            param,
-            texel: [0; 4],
-            weight: [R::one(), R::zero(), R::zero(), R::zero()],
-        };
         match self {
-            Self::Constant(p) => single(*p),
+            Self::Constant(p) => Footprint::single(*p),
             Self::Bitmap(t) => t.footprint(uv),
-            Self::Checkerboard(t) => single(t.select(uv.primal())),
+            Self::Checkerboard(t) => Footprint::single(*t.select(uv.primal())),
+            Self::Squares(t) => t.select(uv.primal()).footprint(uv),
             Self::Attribute(t) => t.footprint(uv),
         }
     }
@@ -171,17 +195,13 @@ impl<const C: usize> Texture<C> {
     /// interpolated: there is no slope of what is the same everywhere, or jumps.
     #[inline]
     pub(crate) fn slopes<R: Real>(&self, uv: Vec2<R>) -> Footprint<[R; 2]> {
-        let flat = |param| Footprint {
-            param,
-            texel: [0; 4],
-            weight: [[R::zero(); 2]; 4],
-        };
         match self {
-            Self::Constant(p) => flat(*p),
-            Self::Bitmap(t) if t.nearest => flat(t.param),
+            Self::Constant(p) => Footprint::flat(*p),
+            Self::Bitmap(t) if t.nearest => Footprint::flat(t.param),
             Self::Bitmap(t) => t.slopes(uv),
-            Self::Checkerboard(t) => flat(t.colors[0]),
-            Self::Attribute(t) => flat(t.param),
+            Self::Checkerboard(t) => Footprint::flat(t.colors[0]),
+            Self::Squares(t) => t.select(uv.primal()).slopes(uv),
+            Self::Attribute(t) => Footprint::flat(t.param),
         }
     }
 
@@ -191,6 +211,7 @@ impl<const C: usize> Texture<C> {
             Self::Constant(p) => Texture::Constant(p),
             Self::Bitmap(t) => Texture::Bitmap(t),
             Self::Checkerboard(t) => Texture::Checkerboard(t),
+            Self::Squares(t) => Texture::Squares(t),
             Self::Attribute(t) => Texture::Attribute(t),
         }
     }
@@ -201,6 +222,7 @@ impl<const C: usize> Texture<C> {
             Self::Constant(p) => f(*p),
             Self::Bitmap(t) => f(t.param),
             Self::Checkerboard(t) => t.colors.iter().for_each(|&p| f(p)),
+            Self::Squares(t) => t.colors.iter().for_each(|square| f(square.param())),
             Self::Attribute(t) => f(t.param),
         }
     }
@@ -213,7 +235,7 @@ impl<const C: usize> Texture<C> {
                 let whole = |row: &[f32; 3]| row[around].fract() == 0.0;
                 !t.nearest && t.wrap == Wrap::Repeat && t.to_uv.rows.iter().all(whole)
             }
-            Self::Checkerboard(_) | Self::Attribute(_) => false,
+            Self::Checkerboard(_) | Self::Squares(_) | Self::Attribute(_) => false,
         }
     }
 
@@ -222,7 +244,7 @@ impl<const C: usize> Texture<C> {
         match self {
             Self::Constant(_) => false,
             Self::Bitmap(t) => t.nearest,
-            Self::Checkerboard(_) | Self::Attribute(_) => true,
+            Self::Checkerboard(_) | Self::Squares(_) | Self::Attribute(_) => true,
         }
     }
 
@@ -233,6 +255,7 @@ impl<const C: usize> Texture<C> {
             Self::Constant(p) => f(*p),
             Self::Bitmap(t) => f(t.param),
             Self::Checkerboard(t) => t.colors.iter().any(|&p| f(p)),
+            Self::Squares(t) => t.colors.iter().any(|square| f(square.param())),
             Self::Attribute(t) => f(t.param),
         }
     }

@@ -54,19 +54,20 @@ fn material(builder: &mut SceneBuilder, k: usize) -> Result<Arc<Material>> {
             index: Some(ConductorIndex { eta, k }),
         })
     };
-    let coated = |builder: &mut SceneBuilder| -> Result<_> {
-        Ok(Coated {
-            diffuse_reflectance: builder.colour(name, "diffuse_reflectance", [ALBEDO; 3])?,
-            specular_reflectance: white(builder, "specular_reflectance")?,
-            eta: INDEX,
-            // The colour shift of real plastic: light that stays below the coat is absorbed again.
-            nonlinear: true,
-        })
-    };
     let index = |builder: &mut SceneBuilder| {
         builder
             .build
             .scalar(&format!("{name}.eta.value"), INDEX, (1.0, 4.0))
+    };
+    let coated = |builder: &mut SceneBuilder| -> Result<_> {
+        Ok(Coated {
+            diffuse_reflectance: builder.colour(name, "diffuse_reflectance", [ALBEDO; 3])?,
+            specular_reflectance: white(builder, "specular_reflectance")?,
+            eta: index(builder)?,
+            first_eta: INDEX as f32,
+            // The colour shift of real plastic: light that stays below the coat is absorbed again.
+            nonlinear: true,
+        })
     };
     Ok(Arc::new(match k {
         0 => Diffuse {

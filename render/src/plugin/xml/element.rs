@@ -68,8 +68,16 @@ impl Element {
         absent: f64,
         convert: impl FnOnce(&str) -> Result<[f64; 3], Mismatch>,
     ) -> Result<[f64; 3], SceneError> {
-        if self.has("value") || !["x", "y", "z"].iter().any(|axis| self.has(axis)) {
+        if self.has("value") {
             return self.parse("value", convert);
+        }
+        if !["x", "y", "z"].iter().any(|axis| self.has(axis)) {
+            return Err(SceneError::Missing {
+                location: self.location.clone(),
+                owner: self.name(),
+                key: "value".to_owned(),
+                expected: "three numbers there, or some of `x`, `y` and `z`".to_owned(),
+            });
         }
         let mut out = [absent; 3];
         for (slot, axis) in out.iter_mut().zip(["x", "y", "z"]) {

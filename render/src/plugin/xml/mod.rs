@@ -21,6 +21,7 @@
 //! # Ok::<(), render::error::SceneError>(())
 //! ```
 
+mod directories;
 mod element;
 mod node;
 mod observer;
@@ -35,11 +36,12 @@ mod write;
 
 use std::collections::HashSet;
 use std::fmt;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 
 pub use crate::error::Location;
 use crate::error::SceneError;
+use directories::Directories;
 pub use node::Node;
 pub(crate) use node::{ANYTHING, Kind};
 use parse::Parser;
@@ -189,48 +191,6 @@ impl Warnings {
 
     fn lock(&self) -> std::sync::MutexGuard<'_, Vec<Warning>> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
-/// Where the file names of one scene file are looked up: its own directory, then those of the files
-/// that include it. (Scenes keep fragments in a subfolder but name meshes relative to the main
-/// file.)
-#[derive(Debug, Clone)]
-struct Directories(Arc<[PathBuf]>);
-
-impl Directories {
-    fn new(own: &Path, includer: Option<&Self>) -> Self {
-        let own = if own == Path::new("") {
-            Path::new(".")
-        } else {
-            own
-        };
-        let own = std::path::absolute(own).unwrap_or_else(|_| own.to_owned());
-        let outer = includer.map_or(&[][..], |d| &d.0);
-        let outer = outer.iter().filter(|&d| *d != own).cloned();
-        Self(std::iter::once(own.clone()).chain(outer).collect())
-    }
-
-    /// The first folder that exists under this name.
-    fn find_folder(&self, name: &Path) -> Option<PathBuf> {
-        let mut all = self.0.iter().map(|d| d.join(name));
-        all.find(|p| p.is_dir())
-    }
-
-    /// The first that exists under this name and is no directory. Reading it refuses what is no file.
-    fn find(&self, name: &Path) -> Option<PathBuf> {
-        let mut all = self.0.iter().map(|d| d.join(name));
-        all.find(|p| std::fs::metadata(p).is_ok_and(|found| !found.is_dir()))
-    }
-}
-
-impl fmt::Display for Directories {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        for (i, directory) in self.0.iter().enumerate() {
-            let separator = if i == 0 { "" } else { ", " };
-            write!(f, "{separator}{}", directory.display())?;
-        }
-        Ok(())
     }
 }
 

@@ -126,6 +126,9 @@ impl Property {
     fn describe(&self) -> String {
         match self.value {
             Value::Transform(_) => "a <transform>".to_owned(),
+            Value::Point([x, y, z]) | Value::Vector([x, y, z]) if self.text.is_empty() => {
+                format!("<{}> `{x}, {y}, {z}`", self.tag)
+            }
             _ => format!("<{}> {}", self.tag, quoted(&self.text)),
         }
     }
@@ -381,14 +384,20 @@ impl Node {
     }
 
     /// `<string>` that names an existing file: relative to the file that contains it, or else to
-    /// the files that include that one.
+    /// the files that include that one. With a warning also one whose name has other capitals, or backslashes.
     pub fn path(&self, name: &str) -> Result<Option<PathBuf>, SceneError> {
         let Some(text) = self.string(name)? else {
             return Ok(None);
         };
         let property = &self.properties[name];
         match property.directories.find(Path::new(text)) {
-            Some(path) => Ok(Some(path)),
+            Some(path) => {
+                if let Some(what) = property.directories.substitution(text, &path) {
+                    let message = format!("{}: {}: {what}", self.describe(), quoted(name));
+                    (self.warnings).push(property.location.clone(), Notice::Replaced, message);
+                }
+                Ok(Some(path))
+            }
             None => Err(SceneError::NoFile {
                 location: property.location.clone(),
                 key: name.to_owned(),

@@ -302,7 +302,12 @@ impl Parser {
         check_limit(self.paths, MAX_PATHS, "<path> elements", &folder.location)?;
         let directories = source.directories();
         match directories.find_folder(Path::new(&folder.text)) {
-            Some(path) => source.look_in(&path),
+            Some(path) => {
+                source.look_in(&path);
+                if let Some(what) = directories.substitution(&folder.text, &path) {
+                    self.warn(folder.location.clone(), format!("<path>: {what}"));
+                }
+            }
             // Whatever should lie there is missed by name later on.
             None => self.warn(
                 folder.location.clone(),
@@ -315,6 +320,28 @@ impl Parser {
         Ok(())
     }
 
+    /// The file that an attribute names.
+    fn find_file(
+        &mut self,
+        file: &Attribute,
+        key: &str,
+        source: &Source,
+    ) -> Result<PathBuf, SceneError> {
+        let directories = source.directories();
+        let Some(path) = directories.find(Path::new(&file.text)) else {
+            return Err(SceneError::NoFile {
+                location: file.location.clone(),
+                key: key.to_owned(),
+                folders: directories.to_string(),
+                name: file.text.clone(),
+            });
+        };
+        if let Some(what) = directories.substitution(&file.text, &path) {
+            self.warn(file.location.clone(), format!("{}: {what}", quoted(key)));
+        }
+        Ok(path)
+    }
+
     /// The colour of a `<spectrum>`: three numbers are RGB.
     fn spectrum(
         &mut self,
@@ -324,7 +351,7 @@ impl Parser {
     ) -> Result<[f64; 3], SceneError> {
         let role = role(&self.nodes[owner], &element.key);
         let samples = if let Some(file) = element.take("filename") {
-            let path = find(&file, &element.key, source)?;
+            let path = self.find_file(&file, &element.key, source)?;
             let text = source::read(&path)?;
             self.bytes += text.len();
             check_limit(self.bytes, MAX_TEXT, "bytes of scene files", &file.location)?;
@@ -495,7 +522,7 @@ impl Parser {
         owner: usize,
         depth: usize,
     ) -> Result<(), SceneError> {
-        let path = find(file, "include", source)?;
+        let path = self.find_file(file, "include", source)?;
         let identity = source::canonical(&path);
         if self.open.contains(&identity) {
             return Err(SceneError::Cycle {
@@ -742,19 +769,6 @@ fn any_perpendicular(origin: [f64; 3], target: [f64; 3]) -> [f64; 3] {
         2
     };
     [0, 1, 2].map(|i| if i == least { 1.0 } else { 0.0 })
-}
-
-/// The file that an attribute names.
-fn find(file: &Attribute, key: &str, source: &Source) -> Result<PathBuf, SceneError> {
-    let directories = source.directories();
-    directories
-        .find(Path::new(&file.text))
-        .ok_or_else(|| SceneError::NoFile {
-            location: file.location.clone(),
-            key: key.to_owned(),
-            folders: directories.to_string(),
-            name: file.text.clone(),
-        })
 }
 
 /// `<blackbody temperature="5000K" scale="1"/>` of the format's first versions.

@@ -94,7 +94,7 @@ impl<P: Float, N: Shape> Members<P> for RoughPlastics<P, N> {
         };
         let lobe = m.lobe(&mut { *at });
         let (lanes, alpha) = (&mut self.lanes, lobe.microfacet.alpha);
-        let passes = lobe.table.passes(alpha);
+        let passes = lobe.table.passes(alpha, lobe.coated.eta);
         self.facets.put(k, alpha);
         lanes.coated.put(k, &lobe.coated);
         lanes.inside[k] = passes.inside();
