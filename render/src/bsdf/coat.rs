@@ -96,10 +96,7 @@ impl Coat {
         // From where there is no coat, if that is not closer than it is worth a node.
         let own = eta.ln().max(0.0).sqrt();
         let place = (own / ETA_STEP - 0.25).ceil().max(0.0);
-        let step = match place > 0.0 {
-            true => own / place,
-            false => ETA_STEP,
-        };
+        let step = if place > 0.0 { own / place } else { ETA_STEP };
         let beyond = ((INDEX_RANGE.1.ln().sqrt() - own) / step).ceil().max(1.0);
         let others = (0..=(place + beyond) as usize).map(|_| OnceLock::new());
         Self {

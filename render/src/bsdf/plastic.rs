@@ -94,12 +94,28 @@ impl<R: Real> CoatedLobe<R> {
         }
     }
 
+    /// Whether the index has tangents. Where it has none, the compiler is to know.
+    #[inline(always)]
+    pub(super) fn index_moves(&self) -> bool {
+        !R::IS_PRIMAL && self.eta.has_tangent()
+    }
+
+    /// The coat, met at this cosine.
+    #[inline(always)]
+    pub(super) fn coat(&self, cos: R) -> fresnel::Dielectric<R> {
+        if self.index_moves() {
+            fresnel::dielectric(cos, self.eta)
+        } else {
+            fresnel::dielectric(cos, R::lift(self.eta.primal()))
+        }
+    }
+
     /// Light that enters (fraction `t_i`), is scattered by the base, and leaves (`t_o`), cosine
     /// included; `inside` is what the coat reflects back of diffuse light from below.
     #[inline(always)]
     pub(super) fn diffuse(&self, cos_i: R, t_i: R, t_o: R, inside: R) -> Rgb<R> {
         let passes = cos_i * t_i * t_o;
-        let entering = if !R::IS_PRIMAL && self.eta.has_tangent() {
+        let entering = if self.index_moves() {
             passes * self.eta.square().recip()
         } else {
             let eta = self.eta.primal();
@@ -177,9 +193,10 @@ impl Plastic {
             return R::lift(known);
         }
         let inside = coat::diffuse_below(eta);
-        match first {
-            true => inside + Const(known - inside.primal()),
-            false => inside,
+        if first {
+            inside + Const(known - inside.primal())
+        } else {
+            inside
         }
     }
 }
@@ -198,7 +215,17 @@ impl Leaf for Plastic {
 impl<R: Real> PlasticLobe<R> {
     #[inline(always)]
     fn coat(&self, w: Vec3<R>) -> fresnel::Dielectric<R> {
-        fresnel::dielectric(w.z, self.coated.eta)
+        self.coated.coat(w.z)
+    }
+
+    #[inline(always)]
+    fn base(&self, cos_i: R, t_i: R, t_o: R) -> Rgb<R> {
+        let inside = if self.coated.index_moves() {
+            self.inside
+        } else {
+            R::lift(self.inside.primal())
+        };
+        self.coated.diffuse(cos_i, t_i, t_o, inside)
     }
 
     #[inline(always)]
@@ -212,7 +239,7 @@ impl<R: Real> PlasticLobe<R> {
         let (coat_o, coat_i) = (self.coat(wo), self.coat(wi));
         let base = R::Primal::one() - self.coated.choose_coat(coat_o.reflect.primal());
         let pdf = warp::cosine_hemisphere_pdf(wi.z) * Const(base);
-        let f = (self.coated).diffuse(wi.z, coat_i.transmit, coat_o.transmit, self.inside);
+        let f = self.base(wi.z, coat_i.transmit, coat_o.transmit);
         let lit = above(wo) & above(wi);
         let f = Rgb::select(lit, f, Rgb::black());
         (f, R::select(above(wo), pdf, R::zero()))
@@ -245,7 +272,7 @@ impl<R: Real> Lobe<R> for PlasticLobe<R> {
             return Rgb::black();
         }
         let (t_i, t_o) = (self.coat(wi).transmit, self.coat(wo).transmit);
-        self.coated.diffuse(wi.z, t_i, t_o, self.inside)
+        self.base(wi.z, t_i, t_o)
     }
 
     #[inline]

@@ -116,7 +116,7 @@ impl<R: Real> Lobe<R> for RoughPlasticLobe<R> {
         let Some(m) = half_vector(wo, wi) else {
             return Rgb::black();
         };
-        let f = fresnel::dielectric(wo.dot(m), self.coated.eta).reflect;
+        let f = self.coated.coat(wo.dot(m)).reflect;
         let coat = f * reflection(&self.microfacet, wo, wi, m);
         let passes = self.table.passes(self.microfacet.alpha, self.coated.eta);
         let (t_i, t_o) = (passes.transmit(wi.z), passes.transmit(wo.z));

@@ -143,9 +143,12 @@ fn pattern(expression: &str) -> String {
 
 /// The regular expression of a name in small or capital letters.
 fn in_any_case(name: &str) -> String {
-    let either = |c: char| match c.is_ascii_lowercase() {
-        true => format!("[{}{c}]", c.to_ascii_uppercase()),
-        false => c.to_string(),
+    let either = |c: char| {
+        if c.is_ascii_lowercase() {
+            format!("[{}{c}]", c.to_ascii_uppercase())
+        } else {
+            c.to_string()
+        }
     };
     name.chars().map(either).collect()
 }

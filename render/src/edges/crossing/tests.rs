@@ -1,6 +1,7 @@
 //! Lines where they are known, and none where surfaces only touch.
 
 use super::*;
+use crate::edges::Eye;
 use crate::math::Transform;
 use crate::shape::{Cube, Cylinder, Disk, Mesh, MeshData, Patch, Rectangle, Sphere};
 
