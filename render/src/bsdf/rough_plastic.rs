@@ -80,8 +80,8 @@ impl<R: Real> RoughPlasticLobe<R> {
 }
 
 impl<P: Float> CoatedLobe<P> {
-    /// [`Lobe::eval_pdf`] of a rough coat where the facets and the [`Passes`] of `wo` and of `wi` are known, and visible
-    /// normals are sampled: without a branch, for loops over many.
+    /// [`Lobe::eval_pdf`] of a rough coat where the facets and what of it [passes](super::coat::Passes) for `wo` and `wi` are
+    /// known, and visible normals are sampled: without a branch, for loops over many.
     #[inline(always)]
     pub(crate) fn rough_eval_pdf(
         &self,
