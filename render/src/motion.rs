@@ -189,6 +189,12 @@ impl Placement {
         }
     }
 
+    /// A direction as it is turned, for these values.
+    pub fn turn(&self, params: &Params, at_rest: [f32; 3]) -> [f32; 3] {
+        let turned = self.transform(params).vector(each(at_rest, f64::from));
+        each(turned, |x| x as f32)
+    }
+
     /// The centre of turns, where it is now.
     fn centre<P: Float>(&self, theta: &Theta<P>) -> Vec3<P> {
         let moved = (self.translation).map_or(Vec3::zero(), |p| vector(theta, p));

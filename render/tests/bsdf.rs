@@ -8,10 +8,11 @@ use ad_core::check::central_difference;
 use ad_core::{Dual, Float, Real, Vec3};
 use render::bsdf::{Bsdf, BsdfSample, Component, DeltaKind, Material, Part, TransportMode, Use};
 use render::math::Rgb;
-use render::params::{GradSink, ParamRef, Params, Tangent, Theta};
+use render::params::{ParamRef, Params, Tangent, Theta};
 use render::sampler::{Independent, Sampler};
 use render::statistics::{p_value, sidak, z_limit};
 
+use crate::common::Gradient;
 use crate::common::materials::{at, build, integrate, polar};
 
 mod models;
@@ -999,18 +1000,6 @@ fn attached_and_detached_sampling_agree() {
     assert!(compared >= 8, "{compared}");
 }
 
-/// Collects adjoints of all parameters.
-struct Sink(Vec<f64>);
-
-impl GradSink<f64> for Sink {
-    fn active(&self, _: ParamRef) -> bool {
-        true
-    }
-    fn add(&mut self, p: ParamRef, i: usize, d: f64) {
-        self.0[p.offset as usize + i] += d;
-    }
-}
-
 /// The adjoint of every parameter, pulled back through evaluations, each part of their derivatives, and deltas at
 /// once, is the transpose of the forward derivative.
 #[test]
@@ -1034,7 +1023,7 @@ fn reverse_is_the_transpose_of_forward() {
                     d: Rgb::from([s.next_1d(), s.next_1d(), s.next_1d::<f64>() - 0.7]),
                 })
                 .collect();
-            let mut sink = Sink(vec![0.0; values.len()]);
+            let mut sink = Gradient(vec![0.0; values.len()]);
             let point = at(Theta::constant(&values));
             case.material.backward(&point, wo, &uses, mode, &mut sink);
             for p in case.handles() {

@@ -14,6 +14,8 @@ use render::statistics::{p_value, sidak, z_limit};
 use render::{Scene, SceneError};
 use tempfile::TempDir;
 
+use crate::common::Gradient;
+
 const MODE: TransportMode = TransportMode::Radiance;
 
 /// A scene of one rectangle with this material. `weights.exr` and `normals.exr` lie beside it.
@@ -191,17 +193,6 @@ fn numbers(seed: u64) -> impl FnMut() -> [f64; 3] {
     }
 }
 
-struct Everything(Vec<f64>);
-
-impl GradSink<f64> for Everything {
-    fn active(&self, _: ParamRef) -> bool {
-        true
-    }
-    fn add(&mut self, p: ParamRef, i: usize, d: f64) {
-        self.0[p.offset as usize + i] += d;
-    }
-}
-
 /// Continuous and delta uses of a material at one point, with some adjoints.
 fn uses(material: &Material, at: &Shading<f64>, wo: Vec3<f64>) -> Vec<Use<f64>> {
     let mut next = numbers(7);
@@ -248,7 +239,7 @@ fn reverse_equals_forward_equals_differences() {
         for (wo, uv) in directions().into_iter().flat_map(|d| UV.map(|uv| (d, uv))) {
             let at = shading(Theta::constant(&theta), uv);
             let uses = uses(material, &at, wo);
-            let mut grad = Everything(vec![0.0; theta.len()]);
+            let mut grad = Gradient(vec![0.0; theta.len()]);
             material.backward(&at, wo, &uses, MODE, &mut grad);
             let scale = 1.0 + grad.0.iter().fold(0.0, |m: f64, g| m.max(g.abs()));
             for i in 0..theta.len() {
@@ -366,7 +357,7 @@ fn inactive_parameters_get_nothing() {
         let at = shading(Theta::constant(&theta), UV[0]);
         let wo = directions()[1];
         let uses = uses(material, &at, wo);
-        let mut all = Everything(vec![0.0; theta.len()]);
+        let mut all = Gradient(vec![0.0; theta.len()]);
         material.backward(&at, wo, &uses, MODE, &mut all);
         for info in scene.params().infos() {
             let p = scene.params().handle(info);

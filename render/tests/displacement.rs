@@ -5,11 +5,13 @@ use render::bsdf::Diffuse;
 use render::camera::{Camera, FovAxis};
 use render::emitter::Constant;
 use render::math::Transform;
-use render::params::{GradSink, ParamKind, ParamRef, Tangent, Theta};
+use render::params::{ParamKind, Tangent, Theta};
 use render::sampler::{Independent, Sampler};
 use render::scene::{Builder, LoadOptions, Settings};
 use render::shape::{AnyShape, HEIGHTS, Mesh, MeshData, Shape, SurfaceAdjoint, SurfaceCoordinates};
 use render::{Film, Scene};
+
+use crate::common::Gradient;
 
 type D1 = Dual<f64, 1>;
 
@@ -147,17 +149,6 @@ fn all_values(scene: &Scene) -> Vec<f64> {
     scene.params().values().iter().map(|&v| v.into()).collect()
 }
 
-struct Sum(Vec<f64>);
-
-impl GradSink<f64> for Sum {
-    fn active(&self, _p: ParamRef) -> bool {
-        true
-    }
-    fn add(&mut self, p: ParamRef, i: usize, d: f64) {
-        self.0[p.offset as usize + i] += d;
-    }
-}
-
 /// Points, normals and areas against differences of displaced scenes, and adjoints as the transpose, also where the mesh
 /// has turned and grown as a whole, smooth and flat.
 #[test]
@@ -193,7 +184,7 @@ fn points_move_with_texels() {
             let mut d = SurfaceAdjoint::zero();
             (d.p, d.n_geo, d.frame.n) = (next(), next(), next());
             let d_log_area = next().x;
-            let mut reverse = Sum(vec![0.0; values.len()]);
+            let mut reverse = Gradient(vec![0.0; values.len()]);
             start.scatter_point(&still, hit.prim, &hit.si, &d, d_log_area, &mut reverse);
             let offset = start.params().find(NAME).expect("known").offset;
             for texel in 0..20 {
@@ -257,7 +248,7 @@ fn adjoints_of_normals_follow() {
         let si = scene.point_at::<f64>(&Theta::still(), PRIM, at);
         let mut d = SurfaceAdjoint::zero();
         d.frame.n = Vec3::new(0.3, -0.5, 0.2);
-        let mut reverse = Sum(vec![0.0; values.len()]);
+        let mut reverse = Gradient(vec![0.0; values.len()]);
         scene.scatter_point(&still, PRIM, &si, &d, 0.0, &mut reverse);
         let offset = scene.params().find(NAME).expect("known").offset;
         let found = reverse.0[offset..offset + 20].to_vec();

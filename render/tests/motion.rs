@@ -6,7 +6,7 @@ use render::camera::{Camera, CameraSample, FovAxis};
 use render::emitter::{Constant, Emitter, Spot};
 use render::instances::{Estimator, render_f32};
 use render::math::{Ray, RayAdjoint, Transform};
-use render::params::{GradSink, ParamKind, ParamRef, Params, Tangent, Theta};
+use render::params::{ParamKind, Params, Tangent, Theta};
 use render::sampler::{Independent, Sampler};
 use render::scene::{Builder, LoadOptions, Settings};
 use render::shape::{
@@ -14,6 +14,8 @@ use render::shape::{
     SurfaceAdjoint, SurfaceCoordinates, SurfaceInteraction,
 };
 use render::{Film, Job, Scene};
+
+use crate::common::Gradient;
 
 type D1 = Dual<f64, 1>;
 
@@ -142,17 +144,6 @@ fn numbers<R: Real>(si: &SurfaceInteraction<R>) -> Vec<R> {
     let vectors = [si.p, si.n_geo, si.frame.s, si.frame.t, si.frame.n];
     let all = vectors.iter().flat_map(|v| v.to_array());
     all.chain([si.uv.x, si.uv.y]).collect()
-}
-
-struct Sum(Vec<f64>);
-
-impl GradSink<f64> for Sum {
-    fn active(&self, _p: ParamRef) -> bool {
-        true
-    }
-    fn add(&mut self, p: ParamRef, i: usize, d: f64) {
-        self.0[p.offset as usize + i] += d;
-    }
 }
 
 /// Adjoints without a pattern.
@@ -329,9 +320,9 @@ fn adjoints_are_the_transpose() {
                 continue;
             };
             let at = scene.coordinates(hit.prim, &hit.si);
-            let mut point = Sum(vec![0.0; values.len()]);
+            let mut point = Gradient(vec![0.0; values.len()]);
             scene.scatter_point(&still, hit.prim, &hit.si, &d, d_log_area, &mut point);
-            let mut seen = Sum(vec![0.0; values.len()]);
+            let mut seen = Gradient(vec![0.0; values.len()]);
             let back: RayAdjoint<f64> =
                 scene.scatter_interaction(&still, hit.prim, &ray, &hit.si, &d, &mut seen);
             scene
@@ -425,7 +416,7 @@ fn rays_of_cameras_move_as_differences_say() {
             o: Vec3::new(0.3, -0.7, 1.1),
             d: Vec3::new(-0.2, 0.9, 0.4),
         };
-        let mut pulled = Sum(vec![0.0; values.len()]);
+        let mut pulled = Gradient(vec![0.0; values.len()]);
         scene.camera.scatter_ray(&still, &at, &d, &mut pulled);
         for name in &names {
             let info = scene.params().find(name).unwrap().clone();

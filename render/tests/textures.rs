@@ -6,10 +6,12 @@ use ad_core::Vec2;
 use render::bsdf::{Bsdf, Shading, TextureRef, TransportMode};
 use render::image_io::{Pixels, srgb_to_linear, write_exr_pixels};
 use render::math::{Rgb, Vec3};
-use render::params::{GradSink, ParamRef, ParamShape, Theta};
+use render::params::{ParamShape, Theta};
 use render::scene::LoadOptions;
 use render::{Scene, SceneError};
 use tempfile::TempDir;
+
+use crate::common::Gradient;
 
 /// Images that the tests refer to, and a place for scenes.
 fn folder() -> TempDir {
@@ -191,19 +193,6 @@ fn checkerboards_show_images() {
     let (scene, warnings) = load_in(folder().path(), &missing, true).unwrap();
     assert_near(albedo(&scene, [0.1, 0.1]), [0.5; 3]);
     assert!(warnings[0].contains("none.png"), "{warnings:?}");
-}
-
-/// A derivative for each parameter.
-struct Gradient(Vec<f32>);
-
-impl GradSink<f32> for Gradient {
-    fn active(&self, _: ParamRef) -> bool {
-        true
-    }
-
-    fn add(&mut self, param: ParamRef, i: usize, d: f32) {
-        self.0[param.offset as usize + i] += d;
-    }
 }
 
 /// Numbers are on the other squares, as without images; the texels of both squares have their derivatives.

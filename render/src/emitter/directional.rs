@@ -5,7 +5,6 @@ use ad_core::{Float, Real, Vec3};
 use super::point::constant_colour;
 use super::{Emission, Emitter, EmitterSample, Lights, Rays};
 use crate::error::SceneError;
-use crate::math::each;
 use crate::motion::Placement;
 use crate::params::{ParamRef, Params};
 use crate::plugin::{FromNode, Node, Registry};
@@ -72,21 +71,11 @@ impl Emitter for Directional {
     }
 
     fn update(&mut self, params: &Params) {
-        let turned = self.turned.transform(params);
-        let direction = turned.vector(each(self.direction_at_rest, f64::from));
-        self.direction = each(direction, |x| x as f32);
-    }
-
-    fn mobility(&self) -> Option<(&'static str, [f32; 3])> {
-        Some(("rotation", [0.0; 3]))
+        self.direction = self.turned.turn(params, self.direction_at_rest);
     }
 
     fn make_movable(&mut self, p: ParamRef) {
         self.turned.rotation = Some(p);
-    }
-
-    fn moved_by(&self) -> Option<ParamRef> {
-        self.turned.rotation
     }
 
     fn turned(&self) -> Option<&Placement> {

@@ -6,7 +6,7 @@ use ad_core::{Float, Real, Vec2, Vec3};
 
 use super::point::constant_colour;
 use super::{
-    Ball, Border, Emission, EmittedRay, Emitter, EmitterSample, INSIDE_BORDER, Lights, Rays,
+    Ball, Border, Emission, EmittedRay, Emitter, EmitterSample, INSIDE_BORDER, Lights, Rays, around,
 };
 use crate::error::SceneError;
 use crate::math::Ray;
@@ -44,26 +44,6 @@ fn contains<P: Float>(shape: &AnyShape, SurfaceCoordinates(at): SurfaceCoordinat
         AnyShape::Rectangle(_) => within(at.x) && within(at.y),
         AnyShape::Disk(_) => at.x * at.x + at.y * at.y <= P::one(),
         _ => false,
-    }
-}
-
-/// Coordinates of a point of the border of a surface, chosen by a number in [0, 1), their change with it, and those of the
-/// middle.
-fn border(shape: &AnyShape, u: f64) -> Option<[[f64; 2]; 3]> {
-    match shape {
-        AnyShape::Rectangle(_) => {
-            let corners = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]];
-            let side = ((4.0 * u) as usize).min(3);
-            let [a, b] = [corners[side], corners[(side + 1) % 4]];
-            let along = [0, 1].map(|k: usize| b[k] - a[k]);
-            let at = [0, 1].map(|k: usize| a[k] + along[k] * (4.0 * u - side as f64));
-            Some([at, along.map(|x| 4.0 * x), [0.5; 2]])
-        }
-        AnyShape::Disk(_) => {
-            let (sin, cos) = (TAU * u).sin_cos();
-            Some([[cos, sin], [-TAU * sin, TAU * cos], [0.0; 2]])
-        }
-        _ => None,
     }
 }
 
@@ -127,14 +107,26 @@ impl Emitter for DirectionalArea {
 
     fn border<P: Float>(&self, lights: Lights, u: f64) -> Option<Border<P>> {
         let shape = &lights.shapes[self.shape as usize];
-        let [at, change, middle] = border(shape, u)?.map(Vec2::from);
-        // Both surfaces are linear in their coordinates.
-        let on = |at| shape.point_at::<f64>(&Theta::still(), 0, SurfaceCoordinates(at));
-        let n = on(middle).n_geo;
-        let tangent = on(middle + change).p - on(middle).p;
+        let on = |at: [f64; 2]| {
+            let at = SurfaceCoordinates(at.into());
+            shape.point_at::<f64>(&Theta::still(), 0, at)
+        };
+        let (middle, [p, tangent]) = match shape {
+            AnyShape::Rectangle(_) => {
+                let corners = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]];
+                (on([0.5; 2]), around(corners.map(|at| on(at).p), u))
+            }
+            AnyShape::Disk(_) => {
+                let (sin, cos) = (TAU * u).sin_cos();
+                let [middle, rim, ahead] = [[0.0; 2], [cos, sin], [-sin, cos]].map(on);
+                (middle, [rim.p, (ahead.p - middle.p) * TAU])
+            }
+            _ => return None,
+        };
+        let n = middle.n_geo;
         let plane = n.cross(tangent);
-        let towards = on(middle).p - on(at).p;
-        let start = on(at + (middle - at) * INSIDE_BORDER).p;
+        let towards = middle.p - p;
+        let start = p + towards * INSIDE_BORDER;
         let exit = lights.prim(self.shape, 0).exit;
         Some(Border {
             ray: Ray {

@@ -176,6 +176,15 @@ pub enum Rays {
 /// How far inside of their borders, relative to their size, lights are looked at.
 const INSIDE_BORDER: f64 = 1e-5;
 
+/// A point of the sides of a quadrilateral, each of which has a quarter of the numbers in [0, 1), and its change with the
+/// number.
+fn around(corners: [Vec3<f64>; 4], u: f64) -> [Vec3<f64>; 2] {
+    let side = ((4.0 * u) as usize).min(3);
+    let along = corners[(side + 1) % 4] - corners[side];
+    let p = corners[side] + along * (4.0 * u - side as f64);
+    [p, along * 4.0]
+}
+
 /// A point just inside of where the light of a Dirac delta ends: across that it jumps.
 #[derive(Clone, Copy, Debug)]
 pub struct Border<P> {
@@ -421,7 +430,7 @@ pub trait Emitter: Send + Sync {
     /// What of it a parameter of three numbers can move, with its value now: the `position` of points, world space, the
     /// `rotation` of what shines from afar, a rotation vector about the world's axes.
     fn mobility(&self) -> Option<(&'static str, [f32; 3])> {
-        None
+        self.turned().map(|_| ("rotation", [0.0; 3]))
     }
 
     /// Says that this parameter is that.
@@ -429,7 +438,7 @@ pub trait Emitter: Send + Sync {
 
     /// The parameter that moves it, if there is one.
     fn moved_by(&self) -> Option<ParamRef> {
-        None
+        self.turned()?.rotation
     }
 
     /// How what shines from afar is turned, if it may be.

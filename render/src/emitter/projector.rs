@@ -7,7 +7,7 @@ use ad_core::{Float, Real, Vec2, Vec3};
 use super::point::{moving, towards};
 use super::{
     Ball, Border, Connection, Emission, EmittedRay, Emitter, EmitterSample, INSIDE_BORDER, Lights,
-    Rays, Spot, scale_of,
+    Rays, Spot, around, scale_of,
 };
 use crate::error::SceneError;
 use crate::math::{Ray, Transform};
@@ -62,16 +62,12 @@ impl Plane {
         (d * length.recip(), length.recip())
     }
 
-    /// A point of the border of the image at unit distance, from the point: each side has a quarter of the numbers in [0, 1).
-    /// With its change with the number, and the middle of the image.
-    fn border(&self, u: f64) -> [Vec3<f64>; 3] {
+    /// The middle of the image at unit distance and its corners, from the point.
+    fn corners(&self) -> (Vec3<f64>, [Vec3<f64>; 4]) {
         let [right, up, forward] = self.axes.map(lift3::<f64>);
         let [x, y] = [right * self.half[0], up * self.half[1]];
         let corners = [x + y, y - x, -(x + y), x - y];
-        let side = ((4.0 * u) as usize).min(3);
-        let along = corners[(side + 1) % 4] - corners[side];
-        let p = corners[side] + along * (4.0 * u - side as f64);
-        [forward + p, along * 4.0, forward]
+        (forward, corners.map(|corner| forward + corner))
     }
 
     /// Area of the image at unit distance.
@@ -185,7 +181,8 @@ impl Emitter for Projector {
     }
 
     fn border<P: Float>(&self, _: Lights, u: f64) -> Option<Border<P>> {
-        let [p, tangent, middle] = self.plane.border(u);
+        let (middle, corners) = self.plane.corners();
+        let [p, tangent] = around(corners, u);
         let plane = p.cross(tangent);
         let inside = plane * plane.dot(middle).signum();
         let d = p + (middle - p) * INSIDE_BORDER;

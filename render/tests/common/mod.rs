@@ -2,13 +2,28 @@
 
 pub mod materials;
 
+use std::ops::AddAssign;
 use std::path::{Path, PathBuf};
 
+use ad_core::Float;
 use render::bsdf::kernel::Rules;
 use render::instances::{self, Direction, Estimator};
 use render::integrator::density::Convention;
-use render::params::Theta;
+use render::params::{GradSink, ParamRef, Theta};
 use render::{Image, Job, Scene};
+
+/// The adjoints of all parameters.
+pub struct Gradient<P>(pub Vec<P>);
+
+impl<P: Float + AddAssign> GradSink<P> for Gradient<P> {
+    fn active(&self, _: ParamRef) -> bool {
+        true
+    }
+
+    fn add(&mut self, p: ParamRef, i: usize, d: P) {
+        self.0[p.offset as usize + i] += d;
+    }
+}
 
 /// Where large scenes and references lie that are not part of the repository: `$RENDER_SHARED`, or
 /// `shared` beside the workspace. `None`, with a printed message, if there is no such folder; the

@@ -407,22 +407,11 @@ impl Emitter for Envmap {
         let luminance = |t: &[f32]| Rgb::new(t[0], t[1], t[2]).luminance();
         let luminance: Vec<f32> = texels.chunks_exact(3).map(luminance).collect();
         self.table.update(&luminance);
-        let turned = self.turned.transform(params);
-        self.axes = each(self.axes_at_rest, |a| {
-            each(turned.vector(each(a, f64::from)), |x| x as f32)
-        });
-    }
-
-    fn mobility(&self) -> Option<(&'static str, [f32; 3])> {
-        Some(("rotation", [0.0; 3]))
+        self.axes = each(self.axes_at_rest, |a| self.turned.turn(params, a));
     }
 
     fn make_movable(&mut self, p: ParamRef) {
         self.turned.rotation = Some(p);
-    }
-
-    fn moved_by(&self) -> Option<ParamRef> {
-        self.turned.rotation
     }
 
     fn turned(&self) -> Option<&Placement> {

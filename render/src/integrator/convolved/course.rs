@@ -10,7 +10,7 @@ use super::outlines::Outlines;
 use crate::bsdf::{Component, Shading};
 use crate::camera::{CameraSample, FilmPoint};
 use crate::edges::Edges;
-use crate::emitter::{Emitter, EmitterSample};
+use crate::emitter::{Emitter, EmitterSample, Rays};
 use crate::estimator::{Follows, Strategy};
 use crate::integrator::active::Active;
 use crate::integrator::delta::{self, Delta};
@@ -805,8 +805,8 @@ impl<'a, P: Float> Follow<'a, P> {
         let a = beta * s.le.scale(s.weight);
         self.scatters(place, [before, sample.d], s.wi, a, own, &mut d_w);
         let moves = self.active.moves_emitter(s.emitter);
-        if let Some(turned) = e.turned() {
-            if moves {
+        if let Some(Rays::Along(_)) = e.rays(self.scene.lights()) {
+            if let Some(turned) = e.turned().filter(|_| moves) {
                 turned.scatter_direction(self.theta, sample.d, d_w, grad);
             }
             return;
