@@ -19,7 +19,8 @@
 //!   the noise of the difference grows as the step shrinks. Short pilots of other seeds therefore choose the largest step
 //!   whose error is well below the noise that is expected; if there is none, the one for which both together are least.
 //!   A step that is too large all the same shows at the second look, which takes a quarter of it: what that changes
-//!   beyond noise counts as an error as well.
+//!   beyond noise counts as an error as well. Both steps of a pair agree where they end beyond the same kink, so what would be
+//!   called wrong is looked at once more, with a tenth of that.
 //! * **Rare events.** If a jump is so rare that no repeat meets it, mean and error are both wrong. What differs is looked at
 //!   again, with four times the repeats and seeds of its own, before it is called wrong.
 //! * **Bounds.** Values near an end of their valid interval have no room on both sides. They move inwards, and a one-sided
@@ -79,6 +80,8 @@ pub const PILOTS: u64 = 4;
 const SECOND_LOOK: u64 = 4;
 /// Its step, over that of the first: where paths jump as the parameter moves, so many repeats see as much noise.
 const SECOND_STEP: f64 = 0.25;
+/// The step of a third look, over that of the second.
+const THIRD_STEP: f64 = 0.1;
 /// What single precision may do to a derivative, relative to those of its range.
 const ROUNDING: f64 = 1e-5;
 
@@ -114,7 +117,7 @@ pub enum Verdict {
     /// Both agree, or disagreed once and not again, but the noise is such that an error could hide in it; or nothing was
     /// seen of the parameter at all.
     CannotTell,
-    /// Both differ beyond chance, and do so again with four times the repeats and a quarter of the step.
+    /// Both differ beyond chance, and do so again with four times the repeats and smaller steps.
     Wrong,
 }
 
@@ -251,7 +254,7 @@ pub fn most_passes<N: AsRef<str>>(scene: &Scene, names: &[N], options: &Options)
     };
     let repeats = u64::from(options.repeats);
     let pilots = PILOTS * PLACES * u64::from(HALVINGS + 1);
-    let each = pilots + 2 * PLACES * repeats * (1 + SECOND_LOOK);
+    let each = pilots + 2 * PLACES * repeats * (1 + 2 * SECOND_LOOK);
     1 + repeats * (1 + SECOND_LOOK) + names.iter().map(directions).sum::<u64>() * each
 }
 
@@ -512,9 +515,9 @@ impl Pair {
         }
     }
 
-    /// Of a second look: what has changed since the first one, by more than noise, is an error of the step, too.
-    fn after(mut self, first: &Self) -> Self {
-        let [a, b] = [first, &self].map(|pair| pair.extrapolated);
+    /// Beside another look: what differs between them by more than noise is an error of the step, too.
+    fn beside(mut self, other: &Self) -> Self {
+        let [a, b] = [other, &self].map(|pair| pair.extrapolated);
         let noise = a.se.powi(2) + b.se.powi(2);
         let beyond = ((a.mean - b.mean).powi(2) - noise).max(0.0);
         self.step_error = self.step_error.hypot(beyond.sqrt());
@@ -599,15 +602,27 @@ impl Run<'_> {
             return Ok((None, limit));
         };
         for t in suspects {
-            let seed = Family::Differences.seed(seed) ^ ((t as u64) << 40);
-            let step = pairs[t].step * SECOND_STEP;
-            let Some(pair) = self.pair(&lines[t], step, seed, SECOND_LOOK * repeats)? else {
-                return Ok((None, limit));
-            };
-            let pair = pair.after(&pairs[t]);
             let (i, along) = tests[t];
             let what = (infos[i].name.as_str(), along);
+            let mut step = pairs[t].step * SECOND_STEP;
+            let mut look = |run: &mut Self, family: Family| {
+                let seed = Family::Differences.seed(family.seed(run.options.seed));
+                let pair = run.pair(&lines[t], step, seed ^ ((t as u64) << 40), SECOND_LOOK * repeats);
+                step *= THIRD_STEP;
+                pair
+            };
+            let Some(second) = look(self, Family::SecondLooks)? else {
+                return Ok((None, limit));
+            };
+            let mut pair = second.beside(&pairs[t]);
             let mut again = self.compare(what, &lines[t], gradients[t], &pair, scales[i], limit)?;
+            if again.verdict == Verdict::Wrong {
+                let Some(third) = look(self, Family::ThirdLooks)? else {
+                    return Ok((None, limit));
+                };
+                pair = pair.beside(&third);
+                again = self.compare(what, &lines[t], gradients[t], &pair, scales[i], limit)?;
+            }
             if again.verdict != Verdict::Wrong || again.z * out[t].z < 0.0 {
                 again.verdict = Verdict::CannotTell;
             }
@@ -832,8 +847,8 @@ mod tests {
             Pair::new(1.0, &spread, &spread)
         };
         let noise = 2.0 * of(0.0).extrapolated.se.powi(2);
-        assert_eq!(of(1.05).after(&of(1.0)).step_error, 0.0);
-        let found = of(2.0).after(&of(1.0)).step_error;
+        assert_eq!(of(1.05).beside(&of(1.0)).step_error, 0.0);
+        let found = of(2.0).beside(&of(1.0)).step_error;
         assert!((found - (1.0 - noise).sqrt()).abs() < 1e-12, "{found}");
     }
 

@@ -141,12 +141,14 @@ pub(crate) enum Family {
     DifferencePilots,
     /// Second looks at what the first one of a check found wrong.
     SecondLooks,
+    /// Differences of third looks.
+    ThirdLooks,
 }
 
 impl Family {
     /// All of them.
     #[cfg(test)]
-    const ALL: [Self; 17] = [
+    const ALL: [Self; 18] = [
         Self::Particles,
         Self::Connections,
         Self::Landings,
@@ -164,6 +166,7 @@ impl Family {
         Self::Differences,
         Self::DifferencePilots,
         Self::SecondLooks,
+        Self::ThirdLooks,
     ];
 
     /// Its seed in a pass with this one.
@@ -186,6 +189,7 @@ impl Family {
             Self::Differences => 0x6469_6666,
             Self::DifferencePilots => 0x7069_6c6f,
             Self::SecondLooks => 0x7365_636f,
+            Self::ThirdLooks => 0x7468_6972,
         }
     }
 }

@@ -265,6 +265,42 @@ fn what_moves_is_checked() {
     assert_eq!(report.verdict(), Verdict::Wrong);
 }
 
+/// A glowing mesh of two squares, of which one ends in the picture and the other begins 0.03 outside of it: steps up to a fifth
+/// of the whole move that into view, on one side, where two of them agree on the wrong derivative. The smallest look sees it.
+/// 8 repeats of 64 samples.
+#[test]
+fn kinks_within_the_step_are_not_called_wrong() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mesh = folder.path().join("squares.obj");
+    let square = |x: [f64; 2], k: usize| {
+        let corners = [[x[0], -1.0], [x[1], -1.0], [x[1], 1.0], [x[0], 1.0]];
+        let corners = corners.map(|[x, y]| format!("v {x} {y} 0\n")).concat();
+        corners + &format!("f {} {} {} {}\n", k + 1, k + 2, k + 3, k + 4)
+    };
+    // The picture is from -2 to 2.
+    let squares = square([0.5, 6.0], 0) + &square([-6.0, -2.03], 4);
+    std::fs::write(&mesh, squares).expect("a file");
+    let mut scene = scene(&format!(
+        r#"<integrator type="path"><integer name="max_depth" value="1"/></integrator>
+        <sensor type="orthographic"><transform name="to_world"><scale x="2" y="2"/>
+        <lookat origin="0, 0, 4" target="0, 0, 0" up="0, 1, 0"/></transform>
+        <film type="hdrfilm"><integer name="width" value="8"/><integer name="height" value="8"/>
+        <rfilter type="box"/></film></sensor>
+        <shape type="obj" id="it"><string name="filename" value="{}"/><boolean name="face_normals" value="true"/>
+        <bsdf type="diffuse"/><emitter type="area"/></shape>"#,
+        mesh.display()
+    ));
+    scene.make_movable(&["it.translation"]).expect("a mesh");
+    let options = Options {
+        repeats: 8,
+        ..Options::default()
+    };
+    let report = run_with(&mut scene, Estimator::Edges, &["it.translation"], 64, &options);
+    let across = &report.params[0].comparisons[0];
+    assert!((across.gradient.mean + 0.125).abs() < 0.01, "{report}");
+    assert_eq!(across.verdict, Verdict::CannotTell, "{report}");
+}
+
 /// The size of a floor that reaches over the film changes nothing: what is left of terms that cancel is not wrong.
 #[test]
 fn rounding_is_not_wrong() {
