@@ -26,8 +26,8 @@ use crate::math::{Ray, RayAdjoint, Transform, both, each};
 use crate::motion::Placement;
 use crate::params::{GradSink, ParamRef, Params, Theta};
 pub use differential::PerPixel;
-pub(crate) use lens::ThinLens;
 use lens::{Lens, bad};
+pub(crate) use lens::{Pupil, ThinLens};
 pub(crate) use viewer::{SightLine, Viewer, inverse};
 
 /// What the angle of view refers to.

@@ -538,7 +538,8 @@ fn all_shapes_through_five_bounces() {
     compare_all(cases);
 }
 
-/// Shadows of parallel light, of projectors and of beams, and where those end: on what stands still, and on what moves.
+/// Shadows of parallel light, of projectors, of beams and of spot lights that end at once, and where those end: on what stands
+/// still, and on what moves. A bulb at the pinhole throws shadows that the camera does not see.
 #[test]
 fn lights_that_no_path_meets() {
     let dir = tempfile::tempdir().expect("a folder");
@@ -559,6 +560,13 @@ fn lights_that_no_path_meets() {
         [("rectangle", "1"), ("disk", "0.9")].map(|(shape, scale)| beam(shape, scale));
     let image = bitmap(dir.path(), "irradiance", [4, 3], 8.0, 5.0);
     let (sun, projector) = (SUN.to_owned(), PROJECTOR.replace("IMAGE", &image));
+    let spot = r#"<emitter type="spot" id="bulb"><float name="cutoff_angle" value="13"/><float name="beam_width" value="13"/>
+        <rgb name="intensity" value="30, 28, 26"/><transform name="to_world">
+        <lookat origin="1, 4, 0.6" target="0.1, 0, 0.2" up="0, 0, 1"/></transform></emitter>"#;
+    let flash = r#"<emitter type="point"><point name="position" x="0" y="3" z="5"/>
+        <rgb name="intensity" value="50, 45, 40"/></emitter>"#;
+    let (spot, flash) = (spot.to_owned(), flash.to_owned());
+    let lit = ["it.translation", "bulb.position", "floor.translation"];
     let cases = [
         ("sun, cube", 2, &sun, CUBE, &under[..]),
         ("sun, ball", 2, &sun, BALL, &seen),
@@ -573,6 +581,11 @@ fn lights_that_no_path_meets() {
         ("square beam, smooth faces", 2, &square, &smooth, &points),
         ("round beam, ball", 2, &disk, BALL, &seen),
         ("round beam, five bounces", 6, &disk, CUBE, &body),
+        ("spot, cube", 2, &spot, CUBE, &lit),
+        ("spot, ball", 2, &spot, BALL, &lit),
+        ("spot, five bounces", 6, &spot, CUBE, &lit[..2]),
+        ("flash, cube", 2, &flash, CUBE, &body),
+        ("flash, smooth faces", 2, &flash, &smooth, &points),
     ];
     let of =
         |(what, depth, light, it, moves): (&'static str, u32, &String, &str, &[&'static str])| {

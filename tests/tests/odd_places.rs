@@ -148,6 +148,94 @@ fn shadows_that_bounce_are_refused_through_a_lens() {
     assert!(message.contains("the camera is no pinhole"), "{message}");
 }
 
+/// Rays begin on the film of a camera whose rays are parallel, and on a lens: a shape that reaches through that is cut, and where it
+/// is cut moves without samples. It is refused by name, with what moves it and with what moves the camera, and not where it
+/// only passes beside or behind.
+#[test]
+fn what_the_camera_cuts_is_refused() {
+    let at = r#"<transform name="to_world">SCALE<lookat origin="0, 1, 0.5" target="0, 1, -4" up="0, 1, 0"/></transform>
+        <film type="hdrfilm"><integer name="width" value="8"/><integer name="height" value="8"/><rfilter type="box"/></film>"#;
+    let scaled = at.replace("SCALE", r#"<scale x="0.6" y="0.6"/>"#);
+    let parallel = format!(r#"<sensor type="orthographic" id="sensor">{scaled}</sensor>"#);
+    let lens = format!(
+        r#"<sensor type="thinlens" id="sensor"><float name="fov" value="45"/><float name="aperture_radius" value="0.2"/>
+        <float name="focus_distance" value="3"/>{}</sensor>"#,
+        at.replace("SCALE", "")
+    );
+    let ball = |x: f64, z: f64| {
+        format!(
+            r#"<shape type="sphere" id="it"><point name="center" x="{x}" y="1" z="{z}"/><float name="radius" value="0.3"/>
+            <ref id="grey"/></shape>"#
+        )
+    };
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("octahedron.obj");
+    std::fs::write(&path, moving::octahedron()).expect("a file");
+    // Its equator is in the plane of the film.
+    let mesh = format!(
+        r#"<shape type="obj" id="it"><string name="filename" value="{}"/><transform name="to_world"><scale value="0.15"/>
+        <translate y="1" z="0.5"/></transform><ref id="grey"/></shape>"#,
+        path.display()
+    );
+    for (what, camera, it, cut) in [
+        ("a ball on the film", &parallel, ball(0.1, 0.4), true),
+        ("a mesh on the film", &parallel, mesh.clone(), true),
+        ("a ball on the lens", &lens, ball(0.1, 0.4), true),
+        ("a mesh on the lens", &lens, mesh, true),
+        ("a ball before the film", &parallel, ball(0.1, 0.0), false),
+        ("a ball beside the film", &parallel, ball(1.0, 0.5), false),
+        ("a ball behind the film", &parallel, ball(0.1, 1.0), false),
+        ("a ball beside the lens", &lens, ball(0.6, 0.5), false),
+    ] {
+        let mut s = tests::scene(&format!("{camera}{FLOOR}{it}"));
+        let names = ["it.translation", "sensor.translation", "floor.translation"];
+        s.make_movable(&names).expect("known");
+        for (name, cut) in names.into_iter().zip([cut, cut, false]) {
+            let found = single(Estimator::Edges, &s, &[name]);
+            match found {
+                Ok(_) => assert!(!cut, "{what}: {name}"),
+                Err(e) => {
+                    let message = e.to_string();
+                    let named = message.contains("`it` reaches through the surface");
+                    assert!(cut && named && message.contains(name), "{what}: {message}");
+                }
+            }
+        }
+    }
+}
+
+/// Faces as wide as corners are rounded, between others and beside them, change nothing: a turned square of two faces with
+/// such ones in it, and without. 4 runs of 16 samples with the same seeds.
+#[test]
+fn needles_have_no_outlines() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let square = "v -1 0 -1\nv 1 0 -1\nv 1 0 1\nv -1 0 1\nv 0 0 0\nf 1 4 3\nf 1 3 2\n";
+    let of = |name: &str, more: &str| {
+        let path = folder.path().join(name);
+        std::fs::write(&path, format!("{square}{more}")).expect("a file");
+        let mut s = scene(
+            &format!(
+                r#"{FLOOR}<shape type="obj" id="it"><string name="filename" value="{}"/><boolean name="face_normals" value="true"/>
+                <transform name="to_world"><scale value="0.7"/><rotate x="1" y="0.3" angle="17"/><translate x="0.1" y="1"/>
+                </transform><bsdf type="twosided"><ref id="grey"/></bsdf></shape>"#,
+                path.display()
+            ),
+            2,
+        );
+        let names = ["it.translation", "it.rotation"];
+        s.make_movable(&names).expect("known");
+        moving::gradient::<ByEdges>(&s, &names, 4, 16)
+    };
+    let plain = of("plain.obj", "");
+    let needles = of("needles.obj", "f 1 5 3\nf 1 1 2\nf 3 5 1\n");
+    for (a, b) in plain.iter().zip(&needles) {
+        assert!(
+            (a.mean - b.mean).abs() <= 1e-4 * a.mean.abs() + 1e-7,
+            "{a:?} {b:?}"
+        );
+    }
+}
+
 /// Of a mesh that folds, as a whole and at the vertex that is pulled, and of a lamp that is sunk in a cube. 8 runs of 256
 /// samples of 256 pixels, and differences of 8 runs of 512.
 #[test]

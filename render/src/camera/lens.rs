@@ -52,6 +52,15 @@ impl ThinLens {
     }
 }
 
+/// A surface that rays of a camera begin on, world space.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Pupil {
+    /// Corners in order.
+    Rectangle([Vec3<f64>; 4]),
+    /// Middle and half axes.
+    Disk([Vec3<f64>; 3]),
+}
+
 /// What else is known of a camera that is none.
 pub(super) fn bad(key: &str, expected: &str, found: impl ToString) -> SceneError {
     SceneError::Parameter {
@@ -125,6 +134,30 @@ impl Camera {
         match &self.lens {
             Some(Lens::Parallel { direction }) => Some((*direction).into()),
             _ => None,
+        }
+    }
+
+    /// The surface that its rays begin on, unless that is a point: the corners of a rectangle, in order, or the middle and two
+    /// half axes of a disk.
+    pub(crate) fn pupil(&self) -> Option<Pupil> {
+        let [origin, forward, corner] = [self.origin, self.forward, self.corner].map(Vec3::from);
+        match &self.lens {
+            None => None,
+            Some(Lens::Thin(lens)) => {
+                let [right, up] = lens.axes.map(Vec3::from);
+                Some(Pupil::Disk([origin, right, up]))
+            }
+            Some(Lens::Parallel { .. }) => {
+                let [w, h] = self.resolution.map(f64::from);
+                let (dx, dy) = (Vec3::from(self.dx) * w, Vec3::from(self.dy) * h);
+                let first = origin + corner - forward;
+                Some(Pupil::Rectangle([
+                    first,
+                    first + dx,
+                    first + dx + dy,
+                    first + dy,
+                ]))
+            }
         }
     }
 

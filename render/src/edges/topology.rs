@@ -17,6 +17,8 @@ use crate::shape::{AnyShape, Mesh, Patch, Shape, SurfaceCoordinates, SurfaceInte
 /// Two faces whose directions into them differ by less than this from opposite ones are one plane; half the square of an
 /// angle.
 const FLAT: f64 = 1e-9;
+/// Faces are as good as lines whose width, over their largest coordinate, is at most this: several roundings of an f32.
+const NEEDLE: f64 = 8.0 * f32::EPSILON as f64;
 /// Normals, and texture coordinates, that differ by less are the same.
 const SAME: f32 = 1e-4;
 
@@ -222,9 +224,7 @@ impl Topology {
         let mut sides: Vec<([u32; 2], u32, u8)> = Vec::new();
         for (polygon, i) in polygons.iter().zip(0..) {
             let n = polygon.corners.len();
-            let normal = normal(&polygon.corners);
-            if normal.length_squared() == 0.0 {
-                // Never hit.
+            if is_needle(&polygon.corners) {
                 continue;
             }
             for k in 0..n {
@@ -331,10 +331,17 @@ fn seam(corners: &[Corner], side: u8) -> f64 {
     1.5 * f64::from(SEAM) * (a.max_abs() + both) * third
 }
 
-/// Along a normal of the face; zero if it has no area.
-fn normal(corners: &[Corner]) -> Vec3<f64> {
+/// Whether a face is no wider than its corners are rounded: rays hardly meet it, and its plane is chance.
+fn is_needle(corners: &[Corner]) -> bool {
     let [a, b, c] = [0, 1, 2].map(|k| lift3::<f64>(corners[k].at));
-    (b - a).cross(c - a)
+    let longest = [b - a, c - b, a - c].map(|side| side.length());
+    let longest = longest.into_iter().fold(0.0, f64::max);
+    let rounding = [a, b, c]
+        .map(|p| p.max_abs())
+        .into_iter()
+        .fold(0.0, f64::max)
+        * NEEDLE;
+    (b - a).cross(c - a).length() <= rounding * longest
 }
 
 /// Foot and axis of a tube, and from the foot to its rim.

@@ -659,7 +659,11 @@ impl AnyEmitter {
 
     /// Whether its light ends at a border, across which it jumps.
     pub(crate) fn has_border(&self) -> bool {
-        matches!(self, Self::Projector(_) | Self::DirectionalArea(_))
+        match self {
+            Self::Projector(_) | Self::DirectionalArea(_) => true,
+            Self::Spot(spot) => spot.has_border(),
+            _ => false,
+        }
     }
 }
 

@@ -1,11 +1,14 @@
 //! Spot lights.
 
-use std::f64::consts::PI;
+use std::f64::consts::{PI, TAU};
 
 use ad_core::{Float, Real, Vec2, Vec3};
 
 use super::point::{constant_colour, moving, towards};
-use super::{Ball, Connection, Emission, EmittedRay, Emitter, EmitterSample, Lights, Rays};
+use super::{
+    Ball, Border, Connection, Emission, EmittedRay, Emitter, EmitterSample, INSIDE_BORDER, Lights,
+    Rays,
+};
 use crate::error::SceneError;
 use crate::math::{Frame, Ray, warp};
 use crate::params::{ParamRef, Params, Theta};
@@ -31,6 +34,11 @@ impl Spot {
     /// One minus the cosine of the cutoff angle.
     fn opening(&self) -> f64 {
         2.0 * (0.5 * self.cutoff).sin().powi(2)
+    }
+
+    /// Whether its light ends at once, and somewhere.
+    pub(super) fn has_border(&self) -> bool {
+        self.beam == self.cutoff && self.cutoff < PI
     }
 
     /// A light at `position` that shines along `axis`; angles from the axis in degrees. `None` unless
@@ -162,6 +170,25 @@ impl Emitter for Spot {
 
     fn rays(&self, _: Lights) -> Option<Rays> {
         Some(Rays::From(self.position))
+    }
+
+    fn border<P: Float>(&self, _: Lights, u: f64) -> Option<Border<P>> {
+        let (sin, cos) = self.cutoff.sin_cos();
+        let axis = lift3::<f64>(self.axis);
+        let frame = Frame::from_normal(axis);
+        let (y, x) = (TAU * u).sin_cos();
+        let out = frame.s * x + frame.t * y;
+        let inside = axis * sin - out * cos;
+        let d = axis * cos + out * sin + inside * (INSIDE_BORDER * self.cutoff);
+        Some(Border {
+            ray: Ray::new(lift3(self.position), d.map(P::of).normalize()),
+            inside,
+            length: TAU * sin,
+            emission: Emission {
+                uv: Vec2::zero(),
+                falloff: P::one(),
+            },
+        })
     }
 
     fn is_delta(&self) -> bool {

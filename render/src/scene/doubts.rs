@@ -44,12 +44,17 @@ impl Scene {
             let mut pairs =
                 all.filter_map(|&(d, pair)| (d == doubt && matters(d, pair)).then_some(pair));
             let [a, b] = pairs.next()?.map(|shape| &self.shape_info(shape).name);
+            let meet = if a == b {
+                format!("two parts of `{a}`")
+            } else {
+                format!("`{a}` and `{b}`")
+            };
             let others = match pairs.count() {
                 0 => String::new(),
                 more => format!("; so it is with {more} more pairs"),
             };
             Some(format!(
-                "`{a}` and `{b}` {}: derivatives in where they are may be wrong there{others}",
+                "{meet} {}: derivatives in where they are may be wrong there{others}",
                 doubt.describe()
             ))
         };

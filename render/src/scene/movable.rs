@@ -5,6 +5,7 @@ use crate::accel::MAX_COORDINATE;
 use crate::bsdf::nesting::{flips_normals, reads_axes, scatters_deltas};
 use crate::bsdf::{Bsdf, Material, TextureRef};
 use crate::camera::{FovAxis, Optic};
+use crate::edges::crossing::cut_by;
 use crate::emitter::{AnyEmitter, Emitter};
 use crate::error::RenderError;
 use crate::estimator::{Follows, Strategy};
@@ -636,6 +637,13 @@ impl Scene {
                 "directions that follow outlines need a box or a Gaussian as the pixel filter",
             );
         }
+        if let Some(own) = self.cut_by_camera(info) {
+            return refuse(&format!(
+                "`{}` reaches through the surface that rays of the camera begin on, which cuts it: where it does so moves, and is \
+                 no outline",
+                own.name
+            ));
+        }
         if matches!(S::FOLLOWS, Follows::Closed)
             && let Some(culprit) = self.without_closed_outlines(info)
         {
@@ -664,6 +672,15 @@ impl Scene {
         } else {
             Ok(())
         }
+    }
+
+    /// A shape that the camera sees cut, if that moves with this parameter.
+    fn cut_by_camera(&self, info: &ParamInfo) -> Option<&ShapeInfo> {
+        let p = self.params.handle(info);
+        let pupil = self.camera.pupil()?;
+        let all = self.camera.depends_on(|q| q == p);
+        let wanted = |shape: u32| all || self.movers().contains(&(shape, p));
+        cut_by(pupil, self.shapes(), wanted).map(|shape| &self.infos[shape as usize])
     }
 
     /// What has outlines that are not known in closed form where this parameter moves, if anything has.

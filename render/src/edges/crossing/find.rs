@@ -15,6 +15,7 @@ use super::contact::{self, Doubt, Touch};
 use super::flat::{Chord, Flat, FlatKind, LEAST_SINE};
 use super::round::Round;
 use super::{Line, LineSide, Path, normal};
+use crate::camera::Pupil;
 use crate::edges::topology::{place, tube};
 use crate::shape::{AnyShape, Mesh, Patch, Shape, lift3};
 
@@ -180,6 +181,58 @@ impl<'a> Sheets<'a> {
     }
 }
 
+/// The first shape, of those for which `wanted` holds, that crosses the surface on which rays of a camera begin.
+pub(crate) fn cut_by(
+    pupil: Pupil,
+    shapes: &[AnyShape],
+    wanted: impl Fn(u32) -> bool,
+) -> Option<u32> {
+    let (corners, sheet): (SmallVec<[Vec3<f64>; 4]>, _) = match pupil {
+        Pupil::Rectangle(corners) => (corners.into(), polygon(corners.into())),
+        Pupil::Disk([middle, a, b]) => (
+            smallvec![
+                middle - a - b,
+                middle + a - b,
+                middle + a + b,
+                middle - a + b
+            ],
+            Sheet::Flat(Flat {
+                normal: a.cross(b).normalize(),
+                kind: FlatKind::Oval([middle, a, b]),
+            }),
+        ),
+    };
+    let Sheet::Flat(window) = sheet else {
+        return None;
+    };
+    let apart = |[low, high]: Box3| {
+        (0..3).any(|k| {
+            let all = || corners.iter().map(|p| p.to_array()[k]);
+            all().all(|x| x < f64::from(low[k])) || all().all(|x| x > f64::from(high[k]))
+        })
+    };
+    let (sheets, boxes) = Sheets::of(shapes);
+    let cut = |&(&(shape, local), _): &(&(u32, u32), Box3)| {
+        let near = sheets.touching(shape, shape);
+        match sheets.sheet((shape, local)) {
+            Sheet::Flat(flat) => {
+                let parts = [shape, u32::MAX].map(|shape| LineSide {
+                    shape,
+                    locals: [local; 2],
+                });
+                let mut found = Vec::new();
+                flats([&flat, &window], parts, near, &mut found);
+                (found.iter()).any(|found| matches!(found, Found::Line(_) | Found::Half(_)))
+            }
+            Sheet::Round(round) => !round.cut(&window, near).is_empty(),
+            Sheet::Nothing => false,
+        }
+    };
+    let all = sheets.all.iter().zip(boxes);
+    let mut near = all.filter(|((shape, _), b)| wanted(*shape) && !apart(*b));
+    near.find(cut).map(|(&(shape, _), _)| shape)
+}
+
 fn polygon(corners: SmallVec<[Vec3<f64>; 4]>) -> Sheet {
     let normal = (corners[1] - corners[0]).cross(corners[corners.len() - 1] - corners[0]);
     if normal.length_squared() == 0.0 {
@@ -197,7 +250,8 @@ fn flats(of: [&Flat; 2], parts: [LineSide; 2], near: f64, found: &mut Vec<Found>
     let apart = parts[0].shape != parts[1].shape;
     let along = of[0].normal.cross(of[1].normal);
     if along.length() < LEAST_SINE {
-        if apart && let Some(doubt) = contact::doubt(of, near) {
+        let doubt = contact::doubt(of, near);
+        if let Some(doubt) = doubt.filter(|&doubt| apart || doubt == Doubt::Twice) {
             found.push(Found::Doubt(doubt, parts));
         }
         return;

@@ -18,6 +18,7 @@ use ad_core::Vec3;
 
 pub(crate) use self::contact::Doubt;
 use self::contact::{Guests, Side};
+pub(crate) use self::find::cut_by;
 use self::round::{Ellipse, Pierced};
 use super::tree::{Dice, Item, Tree};
 use super::{EdgePoint, INSIDE, Inside, Rim, Seeker, Spot, Surfaces};

@@ -119,10 +119,14 @@ pub(super) struct Receiver<P> {
     pub f: Rgb<P>,
     /// Area on the film that an area across the ray takes there.
     pub area: f64,
+    /// Unit direction to the camera.
+    towards: Vec3<f64>,
 }
 
 /// What an edge before a light shades.
 struct Shade<P: Float> {
+    /// The edge, unless it is the border of the light: where it is, its shape, and how far beside it the ray passes.
+    edge: Option<(Vec3<f64>, u32, f64)>,
     /// From the light past the edge, and what it meets.
     ray: Ray<P>,
     hit: Intersection<P>,
@@ -287,7 +291,9 @@ impl<P: Float> Boundary<'_, P> {
             }),
             None => {}
         }
+        let beside = self.clearance(edge.shape, edge.distance).max(edge.seam);
         Some(Shade {
+            edge: Some((edge.p, edge.shape, beside)),
             ray,
             hit,
             lens,
@@ -396,7 +402,7 @@ impl<P: Float> Boundary<'_, P> {
         })
     }
 
-    /// Where the border of a light falls: it stays, and so does what hides it.
+    /// Where the border of a light falls: it moves with the light, and stays in its directions.
     fn border(
         &self,
         emitter: &AnyEmitter,
@@ -415,13 +421,16 @@ impl<P: Float> Boundary<'_, P> {
             Rays::From(_) => hit.si.t.to_f64().recip(),
             Rays::Along(_) => 1.0,
         };
+        let moved = (emitter.moved_by()).filter(|p| self.moving.lights.contains(p));
+        let form = moved.map(|p| Term::point(Mover::Light(p), border.inside * near));
         Some(Shade {
+            edge: None,
             ray: border.ray,
             hit,
             lens,
             delta: true,
             power: le.scale(P::of(weight * border.length)),
-            form: Form::new(),
+            form: form.into_iter().collect(),
             receiver_moves: border.inside * -near,
         })
     }
@@ -429,10 +438,31 @@ impl<P: Float> Boundary<'_, P> {
     /// That as the camera sees it, whose point of the film stays.
     fn as_seen(&self, shade: &Shade<P>) -> Option<([f64; 2], Contribution<P>)> {
         let receiver = self.receiver(&shade.ray, shade.hit, shade.lens)?;
+        if shade
+            .edge
+            .is_some_and(|edge| self.is_covered(edge, &receiver))
+        {
+            return None;
+        }
         let mut form = shade.form.clone();
         form.extend(self.of_receiver(&receiver, shade.receiver_moves));
         let value = -(receiver.f * shade.power).scale(P::of(receiver.area));
         (!form.is_empty()).then_some((receiver.at(), Contribution { value, form }))
+    }
+
+    /// Whether the camera, from beside the light, sees the edge before its shadow. Rays that pass the edge on the film meet what is
+    /// lit then, and what changes there is all that changes.
+    fn is_covered(
+        &self,
+        (p, shape, beside): (Vec3<f64>, u32, f64),
+        receiver: &Receiver<P>,
+    ) -> bool {
+        let si = &receiver.seen.2;
+        let to = p - wide(si.p);
+        let along = to.dot(receiver.towards);
+        let from_eye = si.t.to_f64() - along;
+        let across = (to - receiver.towards * along).length();
+        along > 0.0 && from_eye > 0.0 && across <= beside + self.clearance(shape, from_eye)
     }
 
     /// What a ray from a light meets, if the camera sees that through a place of its lens and it scatters light to it.
@@ -476,6 +506,7 @@ impl<P: Float> Boundary<'_, P> {
             shape: hit.shape,
             f,
             area: area.to_f64() * across / along,
+            towards: wide(towards),
         })
     }
 
