@@ -204,6 +204,34 @@ fn what_the_camera_cuts_is_refused() {
     }
 }
 
+/// Where a ball goes through what sends a beam, that ends at the line along which they cross: it has no samples, and is refused by
+/// name. A ball above or below it is not.
+#[test]
+fn beams_that_are_crossed_are_refused() {
+    let of = |y: f64| {
+        let mut s = scene(
+            &format!(
+                r#"{FLOOR}<shape type="sphere" id="it"><point name="center" x="0" y="{y}" z="0"/><float name="radius" value="0.4"/>
+                <ref id="grey"/></shape><shape type="rectangle" id="beam"><transform name="to_world">
+                <rotate x="1" angle="90"/><translate y="1.5"/></transform>
+                <emitter type="directionalarea"/></shape>"#
+            ),
+            2,
+        );
+        let names = ["it.translation"];
+        s.make_movable(&names).expect("known");
+        single(Estimator::Edges, &s, &names)
+    };
+    for y in [0.8, 2.2] {
+        assert!(
+            of(y).expect("admitted").iter().all(|d| d.is_finite()),
+            "{y}"
+        );
+    }
+    let message = of(1.7).expect_err("refused").to_string();
+    assert!(message.contains("`it` goes through `beam`"), "{message}");
+}
+
 /// Faces as wide as corners are rounded, between others and beside them, change nothing: a turned square of two faces with
 /// such ones in it, and without. 4 runs of 16 samples with the same seeds.
 #[test]

@@ -658,6 +658,12 @@ impl Scene {
                 "`{texture}` colours an image that jumps where things slide through its light",
             ));
         }
+        if let Some([beam, other]) = self.crossed_beam() {
+            return refuse(&format!(
+                "`{}` goes through `{}`, which sends a beam: the line along which they cross ends that, and has no samples",
+                other.name, beam.name
+            ));
+        }
         let deltas = || self.emitters.iter().filter(|e| e.is_delta());
         if follows && deltas().next().is_some() {
             refuse("shadows of lights without area have outlines without samples")
@@ -672,6 +678,26 @@ impl Scene {
         } else {
             Ok(())
         }
+    }
+
+    /// A shape that sends a beam, and one that goes through it.
+    fn crossed_beam(&self) -> Option<[&ShapeInfo; 2]> {
+        if !self.emitters.iter().any(AnyEmitter::is_beam) {
+            return None;
+        }
+        let pairs = self.crossings().shapes();
+        let mut pairs = pairs.map(|pair| pair.map(|shape| &self.infos[shape as usize]));
+        let sends = |info: &ShapeInfo| {
+            info.emitter
+                .is_some_and(|e| self.emitters[e as usize].is_beam())
+        };
+        pairs.find_map(|[a, b]| {
+            if sends(a) {
+                Some([a, b])
+            } else {
+                sends(b).then_some([b, a])
+            }
+        })
     }
 
     /// A shape that the camera sees cut, if that moves with this parameter.
