@@ -125,8 +125,8 @@ pub(super) struct Receiver<P> {
 
 /// What an edge before a light shades.
 struct Shade<P: Float> {
-    /// The edge, unless it is the border of the light: where it is, its shape, and how far beside it the ray passes.
-    edge: Option<(Vec3<f64>, u32, f64)>,
+    /// The edge, unless it is the border of the light.
+    edge: Option<EdgePoint>,
     /// From the light past the edge, and what it meets.
     ray: Ray<P>,
     hit: Intersection<P>,
@@ -291,9 +291,8 @@ impl<P: Float> Boundary<'_, P> {
             }),
             None => {}
         }
-        let beside = self.clearance(edge.shape, edge.distance).max(edge.seam);
         Some(Shade {
-            edge: Some((edge.p, edge.shape, beside)),
+            edge: Some(edge),
             ray,
             hit,
             lens,
@@ -438,10 +437,8 @@ impl<P: Float> Boundary<'_, P> {
     /// That as the camera sees it, whose point of the film stays.
     fn as_seen(&self, shade: &Shade<P>) -> Option<([f64; 2], Contribution<P>)> {
         let receiver = self.receiver(&shade.ray, shade.hit, shade.lens)?;
-        if shade
-            .edge
-            .is_some_and(|edge| self.is_covered(edge, &receiver))
-        {
+        let edge = shade.edge.as_ref();
+        if edge.is_some_and(|edge| self.is_covered(edge, &receiver)) {
             return None;
         }
         let mut form = shade.form.clone();
@@ -452,17 +449,14 @@ impl<P: Float> Boundary<'_, P> {
 
     /// Whether the camera, from beside the light, sees the edge before its shadow. Rays that pass the edge on the film meet what is
     /// lit then, and what changes there is all that changes.
-    fn is_covered(
-        &self,
-        (p, shape, beside): (Vec3<f64>, u32, f64),
-        receiver: &Receiver<P>,
-    ) -> bool {
+    fn is_covered(&self, edge: &EdgePoint, receiver: &Receiver<P>) -> bool {
         let si = &receiver.seen.2;
-        let to = p - wide(si.p);
+        let to = edge.p - wide(si.p);
         let along = to.dot(receiver.towards);
         let from_eye = si.t.to_f64() - along;
         let across = (to - receiver.towards * along).length();
-        along > 0.0 && from_eye > 0.0 && across <= beside + self.clearance(shape, from_eye)
+        let beside = |distance| self.clearance(edge.shape, distance).max(edge.seam);
+        along > 0.0 && from_eye > 0.0 && across <= beside(edge.distance) + beside(from_eye)
     }
 
     /// What a ray from a light meets, if the camera sees that through a place of its lens and it scatters light to it.
