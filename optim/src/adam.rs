@@ -30,6 +30,20 @@ impl Epsilon {
 }
 
 /// Options of [`Adam`]; the names and, but for epsilon, the defaults are Mitsuba 3's.
+///
+/// ```
+/// use optim::{Adam, AdamOptions, Optimizer, Rates};
+///
+/// // Texels that no path has met stay where they are, momentum or not.
+/// let options = AdamOptions { mask_updates: true, ..AdamOptions::default() };
+/// let mut adam = Adam::with_options(Rates::new(2, 0.1)?, options)?;
+/// let mut texels = [0.5f32, 0.5];
+/// adam.step(&mut texels, &[1.0, 1.0])?;
+/// let seen = texels[1];
+/// adam.step(&mut texels, &[1.0, 0.0])?;
+/// assert!(texels[0] < seen && texels[1] == seen);
+/// # Ok::<(), optim::OptimError>(())
+/// ```
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AdamOptions {
@@ -96,6 +110,18 @@ impl AdamOptions {
 /// the same steps, to rounding, for all gradients that the scalar type can hold ([`Epsilon::Relative`]; the root of
 /// `v` is kept instead of `v`, whose range would be half of that). Epsilon joins the uncorrected root as in
 /// Mitsuba 3; PyTorch adds it after the correction.
+///
+/// ```
+/// use optim::{Adam, Optimizer};
+///
+/// let mut adam = Adam::new(2, 0.02)?;
+/// let mut params = [0.5, 0.5];
+/// adam.step(&mut params, &[1e-3, -3.0])?; // the gradient of the objective, one number per parameter
+/// // The first step is the rate, downhill, whatever the size of the derivative.
+/// assert!((params[0] - 0.48f64).abs() < 1e-6 && (params[1] - 0.52).abs() < 1e-6, "{params:?}");
+/// assert_eq!(adam.steps(), 1);
+/// # Ok::<(), optim::OptimError>(())
+/// ```
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "RawAdam<T>", bound = "")]
 pub struct Adam<T: Scalar> {
@@ -180,11 +206,17 @@ impl<T: Scalar> TryFrom<RawAdam<T>> for Adam<T> {
 
 impl<T: Scalar> Adam<T> {
     /// Default options for `len` parameters.
+    ///
+    /// # Errors
+    /// A rate that is not positive and finite.
     pub fn new(len: usize, rate: f64) -> Result<Self, OptimError> {
         Self::with_options(Rates::new(len, rate)?, AdamOptions::default())
     }
 
     /// With rates per range, a schedule, and options.
+    ///
+    /// # Errors
+    /// An option outside of its range.
     pub fn with_options(rates: Rates, options: AdamOptions) -> Result<Self, OptimError> {
         options.validate::<T>()?;
         let zeros = vec![T::default(); rates.len()];

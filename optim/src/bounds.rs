@@ -91,6 +91,9 @@ impl TryFrom<RawParameterisation> for Parameterisation {
 
 impl Parameterisation {
     /// [`Box`](Self::Box) with lo < hi.
+    ///
+    /// # Errors
+    /// Bounds in the wrong order, or not numbers.
     pub fn bounded(lo: f64, hi: f64) -> Result<Self, OptimError> {
         Self::Box { lo, hi }.validated()
     }
@@ -104,11 +107,17 @@ impl Parameterisation {
     }
 
     /// [`Log`](Self::Log) with 0 < lo < hi.
+    ///
+    /// # Errors
+    /// Bounds in the wrong order, or of which the lower one is not positive.
     pub fn log_within(lo: f64, hi: f64) -> Result<Self, OptimError> {
         Self::Log { lo, hi }.validated()
     }
 
     /// [`Sigmoid`](Self::Sigmoid) with finite lo < hi.
+    ///
+    /// # Errors
+    /// Bounds in the wrong order, or not finite.
     pub fn sigmoid(lo: f64, hi: f64) -> Result<Self, OptimError> {
         Self::Sigmoid { lo, hi }.validated()
     }
@@ -141,6 +150,9 @@ impl Parameterisation {
     }
 
     /// Checks the bounds, for values that were built as a literal.
+    ///
+    /// # Errors
+    /// Those of the function that makes this variant.
     pub fn validated(self) -> Result<Self, OptimError> {
         let ordered = |lo: f64, hi: f64| {
             require(!lo.is_nan(), "lower bound", "a number", lo)?;

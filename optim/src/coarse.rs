@@ -14,6 +14,23 @@ use crate::scalar::Scalar;
 /// All texels of a coarse one share its variable. Texels lie at the centres of their cells; the border's value continues
 /// beyond it. Interpolated values stay within the bounds of the coarse ones. When the resolution doubles, each variable
 /// becomes the mean of the texels that it is for from now on: the image changes a little.
+///
+/// ```
+/// use optim::{Coarse, Constrained, Groups, Optimizer, Parameterisation, Sgd};
+///
+/// // An image of four by two texels, begun with two texels along its longer side; two steps later with all.
+/// let image = Coarse::new([4, 2], 1, 2, 2)?;
+/// assert_eq!([image.resolution(0), image.resolution(2)], [[2, 1], [4, 2]]); // columns and rows
+/// let mut groups = Groups::new(8); // [height][width][channels]
+/// groups.add("wood.reflectance.data", 0..8, Parameterisation::Identity)?;
+/// groups.coarsen("wood.reflectance.data", image)?;
+/// let mut optimizer = Constrained::new(Sgd::new(8, 0.1)?, groups)?;
+/// let (mut texels, mut gradient) = ([0.5f64; 8], [0.0; 8]);
+/// gradient[0] = -1.0; // one texel alone
+/// optimizer.step(&mut texels, &gradient)?;
+/// assert_eq!(texels[0], texels[4]); // both rows are one at first
+/// # Ok::<(), optim::OptimError>(())
+/// ```
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "RawCoarse")]
 pub struct Coarse {

@@ -23,6 +23,24 @@ use crate::scalar::Scalar;
 /// ([`Constrained`](crate::Constrained)).
 ///
 /// Several vertices may be one: those along the seams of texture coordinates, say. They get one value.
+///
+/// ```
+/// use optim::{Constrained, Diffusion, Groups, Optimizer, Parameterisation, Sgd};
+///
+/// // Two triangles over four vertices, of which the gradient sees the first.
+/// let mesh = Diffusion::of_triangles(&[0, 1, 2, 3], &[[0, 1, 2], [1, 3, 2]], 2.0)?;
+/// let mut groups = Groups::new(4 * 3); // [vertex][component]
+/// groups.add("mesh.vertex_positions", 0..12, Parameterisation::Identity)?;
+/// groups.tie("mesh.vertex_positions", mesh)?;
+/// let mut optimizer = Constrained::new(Sgd::new(12, 1.0)?, groups)?;
+/// let (mut points, mut gradient) = ([0.0f64; 12], [0.0; 12]);
+/// gradient[2] = 1.0; // the height of the first vertex
+/// optimizer.step(&mut points, &gradient)?;
+/// let heights: Vec<f64> = points.chunks(3).map(|p| -p[2]).collect();
+/// assert!(heights[0] > heights[1] && heights[1] > heights[3] && heights[3] > 0.0, "{heights:?}");
+/// assert!((heights.iter().sum::<f64>() - 1.0).abs() < 1e-9); // a step is spread, not lost
+/// # Ok::<(), optim::OptimError>(())
+/// ```
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(into = "RawDiffusion", try_from = "RawDiffusion")]
 pub struct Diffusion {

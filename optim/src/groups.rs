@@ -29,6 +29,18 @@ pub struct Group {
 }
 
 /// Disjoint named ranges of a parameter vector; entries outside all of them are unbounded.
+///
+/// ```
+/// use optim::{Groups, Parameterisation};
+///
+/// let mut groups = Groups::new(5);
+/// groups.add("glass.alpha", 0..1, Parameterisation::log_within(1e-4, 1.0)?)?;
+/// groups.add("wall.reflectance", 1..4, Parameterisation::bounded(0.0, 1.0)?)?;
+/// assert_eq!(groups.group_of(2).map(|g| g.name.as_str()), Some("wall.reflectance"));
+/// assert!(groups.group_of(4).is_none()); // it has no bounds
+/// assert!(groups.add("again", 3..5, Parameterisation::Identity).is_err()); // entries have one group
+/// # Ok::<(), optim::OptimError>(())
+/// ```
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "RawGroups")]
 pub struct Groups {
@@ -69,6 +81,9 @@ impl Groups {
     }
 
     /// Adds a group of at least one entry; its name and its entries must be new.
+    ///
+    /// # Errors
+    /// A range that is empty or ends behind the vector, wrong bounds, a name or entries that another group has.
     pub fn add(
         &mut self,
         name: impl Into<String>,
@@ -352,6 +367,20 @@ impl Groups {
 /// `step` takes physical values and the gradient with respect to them. Values that the caller has
 /// changed between two steps are honoured; a value whose variable does not move keeps its bits.
 /// The learning rates are those of the inner optimiser, in units of the variables.
+///
+/// ```
+/// use optim::{Adam, Constrained, Groups, Optimizer, Parameterisation};
+///
+/// let mut groups = Groups::new(3);
+/// groups.add("wall.reflectance", 0..3, Parameterisation::bounded(0.0, 1.0)?)?;
+/// let mut optimizer = Constrained::new(Adam::new(3, 0.2)?, groups)?;
+/// optimizer.set_rate("wall.reflectance", 0.1)?;
+/// let mut colour = [0.5f64, 0.95, 0.05];
+/// optimizer.step(&mut colour, &[0.0, -1.0, 1.0])?; // the gradient is that of the colour itself
+/// assert_eq!(colour[0], 0.5);
+/// assert!(colour.iter().all(|c| (0.0..=1.0).contains(c)) && colour[1] > 0.95 && colour[2] < 0.05);
+/// # Ok::<(), optim::OptimError>(())
+/// ```
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(
     try_from = "RawConstrained<O, T>",
@@ -397,6 +426,9 @@ impl<O: Optimizer<T>, T: Scalar> TryFrom<RawConstrained<O, T>> for Constrained<O
 
 impl<O: Optimizer<T>, T: Scalar> Constrained<O, T> {
     /// An optimiser for the variables of the groups; both over the same number of parameters.
+    ///
+    /// # Errors
+    /// Different numbers of parameters.
     pub fn new(mut inner: O, groups: Groups) -> Result<Self, OptimError> {
         require_len("rates", groups.len(), inner.rates().len())?;
         for group in groups.iter() {
@@ -415,6 +447,9 @@ impl<O: Optimizer<T>, T: Scalar> Constrained<O, T> {
     }
 
     /// Gives the group of that name its own learning rate.
+    ///
+    /// # Errors
+    /// There is no such group, or the rate is not positive and finite.
     pub fn set_rate(&mut self, name: &str, rate: f64) -> Result<(), OptimError> {
         let Some(group) = self.groups.get(name) else {
             return Err(self.groups.unknown(name));

@@ -25,21 +25,44 @@ use std::str::FromStr;
 ///
 /// Every loss of this module is a mean over all entries (pixels times channels), so that its
 /// magnitude is independent of the resolution.
+///
+/// ```
+/// use optim::{Loss, loss::L2};
+///
+/// let (image, target) = ([0.5f32, 1.0, 0.0], [0.0f32, 1.0, 1.0]); // such as [height][width][3]
+/// assert!((L2.value(&image, &target)? - (0.25 + 0.0 + 1.0) / 3.0).abs() < 1e-9);
+/// let mut adjoint = [0.0; 3]; // as the image: what `backward` of the renderer takes
+/// L2.gradient(&image, &target, &mut adjoint)?;
+/// assert_eq!(adjoint, [2.0 * 0.5 / 3.0, 0.0, -2.0 / 3.0]);
+/// # Ok::<(), optim::OptimError>(())
+/// ```
 pub trait Loss<T: Scalar> {
     /// The loss, 0 for equal images. Summed in double precision.
+    ///
+    /// # Errors
+    /// Slices of different lengths or without entries, an entry that is not finite, or a loss that is not.
     fn value(&self, image: &[T], target: &[T]) -> Result<f64, OptimError>;
 
     /// Writes the adjoint image: the derivative of [`value`](Self::value) with respect to every
     /// entry of `image`. `d_image` is overwritten, and left alone if an error is returned.
+    ///
+    /// # Errors
+    /// As [`value`](Self::value); a derivative beyond the range of the scalar.
     fn gradient(&self, image: &[T], target: &[T], d_image: &mut [T]) -> Result<(), OptimError>;
 
     /// Writes the second derivative of [`value`](Self::value) with respect to every entry of `image` by
     /// itself; entries do not mix. Like the adjoint it is free of noise for [`L2`] and [`RelativeL2`].
+    ///
+    /// # Errors
+    /// As [`gradient`](Self::gradient).
     fn curvature(&self, image: &[T], target: &[T], dd_image: &mut [T]) -> Result<(), OptimError>;
 
     /// The standard error of [`value`](Self::value) at the mean of two images of equally many, independent samples: their
     /// difference times the slope at the mean. Where the image is its target but for noise this is too large, by a factor
     /// of 2^(1/2) for [`L2`]. `together` entries in a row, the channels of a pixel, share their noise.
+    ///
+    /// # Errors
+    /// As [`value`](Self::value); no entries together.
     fn standard_error(
         &self,
         halves: [&[T]; 2],
@@ -49,6 +72,33 @@ pub trait Loss<T: Scalar> {
 }
 
 /// A loss that is the mean of a function of single entries; implements [`Loss`] for both scalars.
+///
+/// ```
+/// use optim::{Loss, PixelLoss};
+///
+/// /// That of Huber: squares of what is small, and no more than the size of what is large.
+/// struct Huber(f64);
+///
+/// impl PixelLoss for Huber {
+///     fn pixel(&self, image: f64, target: f64) -> f64 {
+///         let d = (image - target).abs();
+///         if d < self.0 { 0.5 * d * d } else { self.0 * (d - 0.5 * self.0) }
+///     }
+///     fn d_pixel(&self, image: f64, target: f64) -> f64 {
+///         (image - target).clamp(-self.0, self.0)
+///     }
+///     fn dd_pixel(&self, image: f64, target: f64) -> f64 {
+///         if (image - target).abs() < self.0 { 1.0 } else { 0.0 }
+///     }
+/// }
+///
+/// let (image, target, mut adjoint) = ([0.1f64, 3.0], [0.0, 0.0], [0.0; 2]);
+/// Huber(1.0).gradient(&image, &target, &mut adjoint)?; // of the mean over both entries
+/// let loss = |x| Huber(1.0).value(&[0.1, x], &target);
+/// let difference = (loss(3.0 + 1e-4)? - loss(3.0 - 1e-4)?) / 2e-4;
+/// assert!((adjoint[1] - difference).abs() < 1e-6);
+/// # Ok::<(), optim::OptimError>(())
+/// ```
 pub trait PixelLoss {
     /// The entry's loss; finite for moderate inputs of any sign.
     fn pixel(&self, image: f64, target: f64) -> f64;
@@ -196,6 +246,9 @@ macro_rules! with_epsilon {
 
         impl $name {
             /// With another epsilon than [`DEFAULT_EPSILON`]; positive and finite.
+            ///
+            /// # Errors
+            /// An epsilon that is not.
             pub fn new(epsilon: f64) -> Result<Self, OptimError> {
                 let valid = epsilon > 0.0 && epsilon.is_finite();
                 require(valid, "epsilon", "a positive finite value", epsilon)?;

@@ -33,6 +33,23 @@ pub trait Optimizer<T: Scalar> {
 macro_rules! optimizers {
     ($($variant:ident $name:literal $rate:literal;)*) => {
         /// An optimiser that was chosen at run time.
+        ///
+        /// ```
+        /// use optim::{AnyOptimizer, Optimizer, Rates};
+        ///
+        /// let rate = AnyOptimizer::<f64>::usual_rate("adam").expect("a known name");
+        /// let mut optimizer = AnyOptimizer::new("adam", Rates::new(1, rate)?)?;
+        /// let mut params = [0.5f64];
+        /// optimizer.step(&mut params, &[1.0])?;
+        /// assert!((params[0] - (0.5 - rate)).abs() < 1e-6);
+        ///
+        /// // A step that is refused changes nothing: render again, and retry.
+        /// let before = (params, optimizer.clone());
+        /// assert!(optimizer.step(&mut params, &[f64::NAN]).is_err());
+        /// assert_eq!((params, optimizer), before);
+        /// assert!(AnyOptimizer::<f64>::new("newton", Rates::new(1, rate)?).is_err());
+        /// # Ok::<(), optim::OptimError>(())
+        /// ```
         #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
         #[serde(bound = "")]
         pub enum AnyOptimizer<T: Scalar> {
@@ -48,6 +65,9 @@ macro_rules! optimizers {
             pub const NAMES: [&'static str; [$($name),*].len()] = [$($name),*];
 
             /// The optimiser of the given name with its default options.
+            ///
+            /// # Errors
+            /// An unknown name, with the known ones.
             pub fn new(name: &str, rates: Rates) -> Result<Self, OptimError> {
                 match name {
                     $($name => Ok(Self::$variant($variant::with_options(rates, Default::default())?)),)*

@@ -8,6 +8,16 @@ use std::ops::Range;
 /// The learning rate of every parameter: a rate per range times the [`Schedule`]'s factor.
 ///
 /// The ranges partition `0..len`.
+///
+/// ```
+/// use optim::{Rates, Schedule};
+///
+/// let mut rates = Rates::new(4, 0.02)?.with_schedule(Schedule::Exponential { decay: 0.5 })?;
+/// rates.set_rate(1..3, 0.1)?;
+/// let second: Vec<_> = rates.at(1).collect(); // ranges in order, with their rates at the second step
+/// assert_eq!(second, [(0..1, 0.01), (1..3, 0.05), (3..4, 0.01)]);
+/// # Ok::<(), optim::OptimError>(())
+/// ```
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "RawRates")]
 pub struct Rates {
@@ -66,6 +76,9 @@ impl TryFrom<RawRates> for Rates {
 
 impl Rates {
     /// One constant rate for `len` parameters; it must be positive and finite.
+    ///
+    /// # Errors
+    /// A rate that is not.
     pub fn new(len: usize, rate: f64) -> Result<Self, OptimError> {
         check_rate(rate)?;
         let segments = if len == 0 {
@@ -86,6 +99,9 @@ impl Rates {
     }
 
     /// The same rates under another schedule.
+    ///
+    /// # Errors
+    /// A number of the schedule outside of its range.
     pub fn with_schedule(mut self, schedule: Schedule) -> Result<Self, OptimError> {
         schedule.validate()?;
         self.schedule = schedule;
@@ -93,6 +109,9 @@ impl Rates {
     }
 
     /// Gives a range its own rate; the last call wins where ranges overlap.
+    ///
+    /// # Errors
+    /// A range that is none of the vector, or a rate that is not positive and finite.
     pub fn set_rate(&mut self, range: Range<usize>, rate: f64) -> Result<(), OptimError> {
         check_rate(rate)?;
         self.separate(&range)?;

@@ -94,6 +94,9 @@ impl Schedule {
     }
 
     /// Checks the ranges that the variants document.
+    ///
+    /// # Errors
+    /// A number outside of its range, by its name.
     pub fn validate(&self) -> Result<(), OptimError> {
         let fraction = |name, x: f64| require(x > 0.0 && x <= 1.0, name, "a value in (0, 1]", x);
         let count = |name, n: u64| require(n >= 1, name, "at least 1", n as f64);

@@ -43,6 +43,23 @@ impl SgdOptions {
 /// Steps are proportional to the gradient: an objective that is a thousand times as small needs a rate a thousand times
 /// as large, and so do the texels of a texture under the mean over a picture, the more of them there are.
 /// [`Adam`](crate::Adam) and [`GaussNewton`](crate::GaussNewton) do not depend on the scale.
+///
+/// ```
+/// use optim::{Optimizer, Rates, Sgd, SgdOptions};
+///
+/// let mut params = [1.0f64];
+/// Sgd::new(1, 0.1)?.step(&mut params, &[2.0])?;
+/// assert!((params[0] - (1.0 - 0.1 * 2.0)).abs() < 1e-12);
+///
+/// let options = SgdOptions { momentum: 0.5, ..SgdOptions::default() };
+/// let mut sgd = Sgd::with_options(Rates::new(1, 0.1)?, options)?;
+/// let mut params = [0.0f64];
+/// for _ in 0..2 {
+///     sgd.step(&mut params, &[1.0])?;
+/// }
+/// assert!((params[0] + 0.1 * (1.0 + 1.5)).abs() < 1e-12); // the velocity was 1, then 1.5
+/// # Ok::<(), optim::OptimError>(())
+/// ```
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "RawSgd<T>", bound = "")]
 pub struct Sgd<T: Scalar> {
@@ -80,11 +97,17 @@ impl<T: Scalar> TryFrom<RawSgd<T>> for Sgd<T> {
 
 impl<T: Scalar> Sgd<T> {
     /// Plain gradient descent for `len` parameters.
+    ///
+    /// # Errors
+    /// A rate that is not positive and finite.
     pub fn new(len: usize, rate: f64) -> Result<Self, OptimError> {
         Self::with_options(Rates::new(len, rate)?, SgdOptions::default())
     }
 
     /// With rates per range, a schedule, and options.
+    ///
+    /// # Errors
+    /// An option outside of its range.
     pub fn with_options(rates: Rates, options: SgdOptions) -> Result<Self, OptimError> {
         options.validate()?;
         let len = if options.momentum > 0.0 {

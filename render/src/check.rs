@@ -190,6 +190,29 @@ impl Checked {
 }
 
 /// What a check found.
+///
+/// ```
+/// use render::auto::Mixture;
+/// use render::check::{Along, Options, check};
+/// use render::instances::Estimator;
+///
+/// let mut room = render::scene::room(8, 8)?;
+/// let names = ["left.reflectance.value", "light.emitter.radiance.value"];
+/// let mis = Mixture::only(&room, Estimator::Mis, &names);
+/// let adjoint = vec![1.0 / 192.0; 8 * 8 * 3]; // of the mean of all pixels and channels
+/// let (settings, options) = (room.settings, Options { repeats: 4, ..Options::default() });
+/// let report = check(&mut room, &settings, &names, &mis, &adjoint, &options, &())?.expect("nobody stops it");
+///
+/// assert_eq!(report.params.len(), 2); // in the order asked for
+/// let lamp = &report.params[1];
+/// assert_eq!(lamp.comparisons.len(), 3); // one per value, in units of the image over those of the parameter
+/// let red = lamp.comparisons[0];
+/// assert_eq!(red.along, Along::Value(0));
+/// let error = red.gradient.se.hypot(red.differences.se).hypot(red.step_error);
+/// assert!((red.gradient.mean - red.differences.mean).abs() < 10.0 * error);
+/// assert!(red.z.abs() < report.z_limit);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct Report {
     /// Per range, in the order asked for.
@@ -264,6 +287,38 @@ pub fn most_passes<N: AsRef<str>>(scene: &Scene, names: &[N], options: &Options)
 ///
 /// Costs `repeats` gradients of all parameters together, and for every value or direction four images in double precision
 /// per repeat and some for pilots; four times as much again for what differs.
+///
+/// An estimator that leaves out what becomes visible or hidden is found out:
+///
+/// ```
+/// use render::auto::Mixture;
+/// use render::check::{Options, Verdict, check};
+/// use render::instances::Estimator;
+/// use render::{Scene, Settings};
+///
+/// let text = r#"<scene version="3.0.0">
+///     <sensor type="orthographic">
+///         <film type="hdrfilm"><integer name="width" value="4"/><integer name="height" value="4"/></film>
+///     </sensor>
+///     <shape type="rectangle" id="lamp">
+///         <transform name="to_world"><scale value="0.4"/><rotate y="1" angle="180"/><translate z="2"/></transform>
+///         <emitter type="area"><rgb name="radiance" value="1"/></emitter>
+///     </shape>
+/// </scene>"#;
+/// let (mut scene, _) = Scene::from_xml(text, "".as_ref(), &Default::default())?;
+/// scene.make_movable(&["lamp.scale"])?;
+/// let settings = Settings { spp: 64, ..scene.settings };
+/// let adjoint = vec![1.0 / 48.0; 4 * 4 * 3]; // of the mean of all pixels and channels
+/// let options = Options { repeats: 8, tolerance: 0.5, ..Options::default() };
+/// let mut verdict = |estimator| -> Result<_, render::RenderError> {
+///     let judged = Mixture::only(&scene, estimator, &["lamp.scale"]);
+///     let report = check(&mut scene, &settings, &["lamp.scale"], &judged, &adjoint, &options, &())?;
+///     Ok(report.map(|report| report.verdict()))
+/// };
+/// assert_eq!(verdict(Estimator::Edges)?, Some(Verdict::Right));
+/// assert_eq!(verdict(Estimator::Interior)?, Some(Verdict::Wrong));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 ///
 /// # Errors
 /// An unknown name, an adjoint of the wrong size, fewer than four repeats, a tolerance or significance that is no

@@ -65,6 +65,19 @@ impl fmt::Display for Location {
 }
 
 /// What went wrong while a scene was loaded or built.
+///
+/// ```
+/// use render::{Scene, SceneError};
+///
+/// let text = r#"<scene version="3.0.0">
+///     <sensor type="perspective"><float name="fov" value="40"/></sensor>
+///     <shape type="sphare"/>
+/// </scene>"#;
+/// let error = Scene::from_xml(text, "".as_ref(), &Default::default()).unwrap_err();
+/// assert_eq!(error.location().map(|l| l.line), Some(3));
+/// assert!(error.message().contains("sphare"), "{error}"); // without the place, which `to_string` begins with
+/// assert!(matches!(error, SceneError::UnknownPlugin { .. }));
+/// ```
 #[non_exhaustive]
 #[derive(Debug, thiserror::Error)]
 pub enum SceneError {
@@ -437,6 +450,26 @@ impl fmt::Display for List<'_> {
 }
 
 /// What went wrong while rendering or differentiating.
+///
+/// Nothing has changed where one is returned.
+///
+/// ```
+/// use render::RenderError;
+///
+/// let mut room = render::scene::room(8, 8)?;
+/// let before = room.params().values().to_vec();
+/// match room.set([("sphere.alpha.value", &[1.5][..])]) {
+///     Err(RenderError::ParameterOutOfRange { name, valid, found, .. }) => {
+///         assert_eq!((name.as_str(), valid, found), ("sphere.alpha.value", (1e-4, 1.0), 1.5));
+///     }
+///     other => panic!("{other:?}"),
+/// }
+/// assert_eq!(room.params().values(), before);
+///
+/// let unknown = room.params().find("sphere.alpa.value");
+/// assert!(matches!(unknown, Err(RenderError::UnknownParameter { closest, .. }) if closest[0] == "sphere.alpha.value"));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[non_exhaustive]
 #[derive(Debug, thiserror::Error)]
 pub enum RenderError {

@@ -169,6 +169,26 @@ impl PixelFilter {
 }
 
 /// Size of the image and the part of it that is rendered.
+///
+/// Random numbers are those of pixels of the whole film, so that what is rendered of it is a part of the whole picture:
+///
+/// ```
+/// use render::instances::{Estimator, render_f32};
+/// use render::params::Theta;
+/// use render::{Film, Job, Scene};
+///
+/// let mut room = render::scene::room(16, 8)?;
+/// let image = |room: &Scene| {
+///     let job = Job::new(room, &room.settings, 1, 0..4, &());
+///     render_f32(&job, &Theta::constant(room.params().values()), Estimator::Mis).image(0)
+/// };
+/// let whole = image(&room);
+/// room.film = Film { crop_offset: [5, 2], crop_size: [4, 3], ..Film::new(16, 8) };
+/// let part = image(&room);
+/// assert_eq!((part.width, part.height, room.film.pixels()), (4, 3, 12)); // `data` is [3][4][3]
+/// assert_eq!(part.pixel(1, 2), whole.pixel(5 + 1, 2 + 2));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Film {
     /// Full resolution, `[width, height]`.

@@ -49,6 +49,24 @@ pub const MAX_SAMPLES: usize = 1 << 28;
 const MAX_BYTES: u64 = 1 << 31;
 
 /// Pixels as read from or written to a file.
+///
+/// ```
+/// use render::Image;
+/// use render::image_io::{Encoding, Pixels, read, write_exr_pixels};
+///
+/// let file = std::env::temp_dir().join(format!("pixels-{}.exr", std::process::id()));
+/// let ramp = Pixels { width: 3, height: 1, channels: 1, data: vec![0.0, 0.5, 1.0] };
+/// write_exr_pixels(&file, &ramp)?; // one channel, `Y`
+/// let found = read(&file, Encoding::Raw)?; // of linear files the encoding says nothing
+/// assert_eq!(found, ramp);
+///
+/// let image = Image::from(found); // grey three times, [1][3][3]
+/// assert_eq!(image.pixel(1, 0), [0.5; 3]);
+/// let green = Pixels { width: 1, height: 1, channels: 3, data: vec![0.0, 1.0, 0.0] };
+/// assert!((green.into_grey().data[0] - 0.7152).abs() < 1e-3); // luminance
+/// # std::fs::remove_file(&file)?;
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct Pixels {
     /// Number of columns.
@@ -62,6 +80,20 @@ pub struct Pixels {
 }
 
 /// What the samples of 8- and 16-bit files mean. EXR, Radiance and PFM files are linear in any case.
+///
+/// ```
+/// use render::image_io::{Encoding, read, write_png};
+///
+/// let file = std::env::temp_dir().join(format!("encoding-{}.png", std::process::id()));
+/// let mut image = render::Image::new(1, 1);
+/// image.data.fill(0.5);
+/// write_png(&file, &image, 0.0)?; // eight bits on the curve of sRGB
+/// let (colours, numbers) = (read(&file, Encoding::Srgb)?, read(&file, Encoding::Raw)?);
+/// assert!((colours.data[0] - 0.5).abs() < 0.005); // linear again, but for rounding to 256 levels
+/// assert!((numbers.data[0] - 188.0 / 255.0).abs() < 1e-6); // what the file holds
+/// # std::fs::remove_file(&file)?;
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Encoding {
     /// Colours on the sRGB curve; read as linear values.
@@ -139,6 +171,25 @@ pub fn read(path: &Path, encoding: Encoding) -> Result<Pixels, SceneError> {
 /// where it is the only one. Without a name it is the unnamed layer, or else the only one called `Combined`, `beauty`
 /// or `RGBA`, or else the only one that is a picture: that has channels `R`, `G`, `B`, or `Y`. Channels `X`, `Y`, `Z`
 /// without a layer's name are CIE XYZ, which becomes linear RGB. What else has `X`, `Z`, `RY` or `BY` beside its `Y` is none.
+///
+/// ```
+/// use render::image_io::{Encoding, read_layer, split_layer, write_exr_planes};
+///
+/// let file = std::env::temp_dir().join(format!("layers-{}.exr", std::process::id()));
+/// let planes = vec![("R", vec![0.1; 6]), ("G", vec![0.2; 6]), ("B", vec![0.3; 6]), ("depth.Y", vec![4.0; 6])];
+/// write_exr_planes(&file, 3, 2, planes)?; // [2][3] under each name
+/// let picture = read_layer(&file, Encoding::Raw, None)?; // the unnamed one
+/// assert_eq!((picture.height, picture.width, picture.channels), (2, 3, 3));
+/// assert_eq!(picture.data[..3], [0.1, 0.2, 0.3]);
+/// let depth = read_layer(&file, Encoding::Raw, Some("depth"))?;
+/// assert_eq!((depth.channels, depth.data), (1, vec![4.0; 6]));
+///
+/// // As tools name a layer on their command lines.
+/// let named = format!("{}:depth", file.display());
+/// assert_eq!(split_layer(named.as_ref()), (file.clone(), Some("depth".to_owned())));
+/// # std::fs::remove_file(&file)?;
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 ///
 /// # Errors
 /// The file cannot be read or is no such image, is cut off or damaged, exceeds [`MAX_SIDE`], [`MAX_PIXELS`] or
@@ -479,6 +530,13 @@ pub fn srgb_to_linear(x: f64) -> f64 {
 }
 
 /// The sRGB-encoded value of a linear one (IEC 61966-2-1).
+///
+/// ```
+/// use render::image_io::{linear_to_srgb, srgb_to_linear};
+///
+/// assert!((linear_to_srgb(0.2140) - 0.5).abs() < 1e-3);
+/// assert!((srgb_to_linear(linear_to_srgb(0.7)) - 0.7).abs() < 1e-9);
+/// ```
 pub fn linear_to_srgb(x: f64) -> f64 {
     if x <= 0.003_130_8 {
         x * 12.92
@@ -498,6 +556,19 @@ pub fn write_exr(path: &Path, image: &Image) -> Result<(), SceneError> {
 
 /// [`write_exr`] with a fourth channel `A`: how much of each pixel is covered, row by row. Colours are as they are,
 /// those of what covers the pixel in part multiplied by that part.
+///
+/// ```
+/// use render::image_io::{read_rgb, write_exr_with_alpha};
+///
+/// let file = std::env::temp_dir().join(format!("alpha-{}.exr", std::process::id()));
+/// let mut image = render::Image::new(2, 1);
+/// image.data[..3].fill(0.25); // half covered by a grey of 0.5
+/// write_exr_with_alpha(&file, &image, &[0.5, 0.0])?; // [height][width]
+/// assert_eq!(read_rgb(&file)?, image); // alpha is dropped, and nothing is divided by it
+/// assert!(write_exr_with_alpha(&file, &image, &[0.5]).is_err());
+/// # std::fs::remove_file(&file)?;
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 ///
 /// # Errors
 /// As there; another number of values than pixels.

@@ -64,12 +64,55 @@ fn run<R: Components, S: Unbiased>(job: &Job, theta: &Theta<R>) -> Result<Render
 /// The image, in single precision, `[height][width][3]`, linear RGB: [`render::render`] with the points that `settings` asks
 /// for, by the techniques of an estimator ([`Strategy::Primal`]): sampled emitters, scattered directions, or both by either
 /// heuristic. Where nothing is differentiated many estimators are the same.
+///
+/// ```
+/// use render::Job;
+/// use render::instances::{Estimator, render_f32};
+/// use render::params::Theta;
+///
+/// let room = render::scene::room(16, 8)?; // 16 columns, 8 rows
+/// let theta = Theta::constant(room.params().values());
+/// let pass = |samples| {
+///     let job = Job::new(&room, &room.settings, 1, samples, &());
+///     render_f32(&job, &theta, Estimator::Mis)
+/// };
+/// let all = pass(0..8);
+/// let image = all.image(0); // component 0 is the image
+/// assert_eq!((image.height, image.width, image.data.len()), (8, 16, 8 * 16 * 3));
+///
+/// // What comes back are sums over samples: later samples add up with earlier ones.
+/// let mut halves = pass(0..4);
+/// halves.merge(&pass(4..8));
+/// assert_eq!((halves.samples, halves.sums[0].len()), (8, image.data.len()));
+/// assert!((halves.mean(0)[0] / all.mean(0)[0] - 1.0).abs() < 1e-6);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 pub fn render_f32(job: &Job, theta: &Theta<f32>, estimator: Estimator) -> Rendering {
     estimator.primal()(job, theta)
 }
 
 /// The image by particles, in single precision: [`particle::render`] with the points that `settings` asks
 /// for.
+///
+/// Particles begin at lights and paths at the camera, so that each checks the other:
+///
+/// ```
+/// use render::Job;
+/// use render::bsdf::kernel::Rules;
+/// use render::instances::{Estimator, particles_f32, render_f32};
+/// use render::params::Theta;
+///
+/// let room = render::scene::room(8, 8)?;
+/// let theta = Theta::constant(room.params().values());
+/// let job = Job::new(&room, &room.settings, 1, 0..256, &());
+/// let particles = particles_f32(&job, &theta, Rules::default())?; // one per pixel and sample
+/// let paths = render_f32(&job, &theta, Estimator::Mis);
+/// assert_eq!(particles.sums[0].len(), paths.sums[0].len()); // [height][width][3] both
+/// for (a, b) in particles.mean(0).iter().zip(paths.mean(0)) {
+///     assert!((a / b - 1.0).abs() < 0.1, "{a} {b}"); // within their noise
+/// }
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 ///
 /// # Errors
 /// A scene that particles see otherwise than paths do.
@@ -95,6 +138,41 @@ pub fn particles_f32(
 
 /// The image by particles that land and viewing rays that collect them within `radius`, in single precision:
 /// [`Map`] with the points that `settings` asks for. As many particles are sent per sample as there are pixels.
+///
+/// A lamp of intensity `I` at height `h` over a floor of reflectance `rho`: its radiance below is `rho I / (pi h^2)`.
+///
+/// ```
+/// use std::f64::consts::PI;
+///
+/// use render::bsdf::kernel::Rules;
+/// use render::instances::density_f32;
+/// use render::integrator::density::Convention;
+/// use render::params::Theta;
+/// use render::{Job, Scene};
+///
+/// let text = r#"<scene version="3.0.0">
+///     <sensor type="perspective">
+///         <float name="fov" value="10"/>
+///         <transform name="to_world"><lookat origin="0, 2, 0" target="0, 0, 0" up="0, 0, 1"/></transform>
+///         <film type="hdrfilm"><integer name="width" value="8"/><integer name="height" value="8"/></film>
+///     </sensor>
+///     <emitter type="point"><point name="position" y="2"/><rgb name="intensity" value="4, 8, 12"/></emitter>
+///     <shape type="rectangle">
+///         <transform name="to_world"><scale value="20"/><rotate x="1" angle="-90"/></transform>
+///         <bsdf type="diffuse"><rgb name="reflectance" value="0.5"/></bsdf>
+///     </shape>
+/// </scene>"#;
+/// let (scene, _) = Scene::from_xml(text, "".as_ref(), &Default::default())?;
+/// let theta = Theta::constant(scene.params().values());
+/// let job = Job::new(&scene, &scene.settings, 1, 0..1024, &());
+/// let found = density_f32(&job, &theta, Rules::default(), Convention::Radiance, 0.3)?;
+/// assert_eq!(found.sums[0].len(), 8 * 8 * 3); // [height][width][3]
+/// for (radiance, intensity) in found.mean(0).iter().zip([4.0, 8.0, 12.0]) {
+///     let expected = 0.5 * intensity / (PI * 2.0 * 2.0);
+///     assert!((radiance / expected - 1.0).abs() < 0.1, "{radiance} {expected}");
+/// }
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 ///
 /// # Errors
 /// A scene that particles see otherwise than paths do; a radius that is not positive; too many particles.
@@ -123,6 +201,45 @@ pub fn density_f32(
 /// The light of manifold connections by so many particles instead, in single precision: [`chain_density::image`] with the
 /// points that `settings` asks for.
 ///
+/// What a mirror throws on a wall, by connections and by particles:
+///
+/// ```
+/// use render::instances::{Estimator, chains_by_particles_f32, render_f32};
+/// use render::params::Theta;
+/// use render::scene::{Connections, Method};
+/// use render::{Job, Scene, Settings};
+///
+/// let text = r#"<scene version="3.0.0">
+///     <sensor type="perspective">
+///         <float name="fov" value="30"/>
+///         <film type="hdrfilm"><integer name="width" value="8"/><integer name="height" value="8"/></film>
+///     </sensor>
+///     <shape type="rectangle" id="wall">
+///         <transform name="to_world"><scale value="3"/><rotate y="1" angle="180"/><translate z="5"/></transform>
+///     </shape>
+///     <shape type="rectangle" id="mirror">
+///         <transform name="to_world"><rotate y="1" angle="-90"/><translate x="2" z="3.5"/></transform>
+///         <bsdf type="conductor"/>
+///     </shape>
+///     <shape type="sphere" id="lamp">
+///         <point name="center" x="-1.5" z="3"/><float name="radius" value="0.2"/>
+///         <emitter type="area"><rgb name="radiance" value="20"/></emitter>
+///     </shape>
+/// </scene>"#;
+/// let (scene, _) = Scene::from_xml(text, "".as_ref(), &Default::default())?;
+/// let theta = Theta::constant(scene.params().values());
+/// let with = |method| Settings { connections: Some(Connections::new(method)), ..scene.settings };
+/// let (connected, left_out) = (with(Method::Sms), with(Method::LeftOut));
+/// let job = |settings| Job::new(&scene, settings, 1, 0..16, &());
+/// let mean = |settings| render_f32(&job(settings), &theta, Estimator::Mis).mean(0)[0];
+/// let by_connections = mean(&connected) - mean(&left_out);
+///
+/// let by_particles = chains_by_particles_f32(&job(&connected), &theta, 1 << 16)?;
+/// let by_particles = by_particles.image.mean(0)[0]; // the light of chains alone, [height][width][3]
+/// assert!((by_particles / by_connections - 1.0).abs() < 0.1, "{by_particles} {by_connections}");
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
 /// # Errors
 /// As those of [`chain_density::image`].
 pub fn chains_by_particles_f32(
@@ -134,6 +251,35 @@ pub fn chains_by_particles_f32(
 }
 
 /// The particles of [`density_f32`], to be gathered at chosen points.
+///
+/// The irradiance below a lamp of intensity `I` at height `h` is `I / h^2`:
+///
+/// ```
+/// use render::instances::particle_map_f32;
+/// use render::params::Theta;
+/// use render::{Job, Scene};
+///
+/// let text = r#"<scene version="3.0.0">
+///     <sensor type="perspective">
+///         <float name="fov" value="40"/>
+///         <film type="hdrfilm"><integer name="width" value="8"/><integer name="height" value="8"/></film>
+///     </sensor>
+///     <emitter type="point"><point name="position" y="2"/><rgb name="intensity" value="4, 8, 12"/></emitter>
+///     <shape type="rectangle">
+///         <transform name="to_world"><scale value="20"/><rotate x="1" angle="-90"/></transform>
+///     </shape>
+/// </scene>"#;
+/// let (scene, _) = Scene::from_xml(text, "".as_ref(), &Default::default())?;
+/// let theta = Theta::constant(scene.params().values());
+/// let job = Job::new(&scene, &scene.settings, 1, 0..1024, &());
+/// let map = particle_map_f32(&job, &theta, 0.3)?; // 8 x 8 particles for each of 1024 samples
+/// let below = map.irradiance([0.0, 0.0, 0.0].into(), [0.0, 1.0, 0.0].into()); // a point, the normal there
+/// for (c, intensity) in [4.0f32, 8.0, 12.0].into_iter().enumerate() {
+///     let expected = intensity / (2.0 * 2.0);
+///     assert!((below.value[c] / expected - 1.0).abs() < 0.1, "{} {expected}", below.value[c]);
+/// }
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 ///
 /// # Errors
 /// As those of [`density_f32`].
@@ -154,7 +300,7 @@ pub fn particle_map_f32(
 }
 
 /// The gradient of `<adjoint, image>` by particles, in single precision: [`particle_gradient::backward`] with
-/// the points that `settings` asks for.
+/// the points that `settings` asks for. `adjoint` is `[height][width][3]`.
 ///
 /// ```
 /// use render::Job;
@@ -176,7 +322,7 @@ pub fn particle_map_f32(
 /// ```
 ///
 /// # Errors
-/// An adjoint image of the wrong size; a scene that particles see otherwise than paths do.
+/// An adjoint image of the wrong size; a parameter that moves something; a scene that particles see otherwise than paths do.
 pub fn backward_particles_f32(
     job: &Job,
     theta: &Theta<f32>,
@@ -195,12 +341,52 @@ pub fn backward_particles_f32(
 }
 
 /// The image, in double precision: a reference for [`render_f32`] and for differences.
+///
+/// ```
+/// use render::Job;
+/// use render::instances::{Estimator, render_f32, render_f64};
+/// use render::params::Theta;
+///
+/// let room = render::scene::room(8, 8)?;
+/// let single = room.params().values();
+/// let double: Vec<f64> = single.iter().map(|&v| v.into()).collect();
+/// let job = Job::new(&room, &room.settings, 1, 0..16, &());
+/// let a = render_f32(&job, &Theta::constant(single), Estimator::Mis).mean(0);
+/// let b = render_f64(&job, &Theta::constant(&double), Estimator::Mis).mean(0);
+/// for (a, b) in a.iter().zip(b) {
+///     assert!((a / b - 1.0).abs() < 1e-3, "{a} {b}"); // the same paths, but for rounding
+/// }
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 pub fn render_f64(job: &Job, theta: &Theta<f64>, estimator: Estimator) -> Rendering {
     estimator.primal()(job, theta)
 }
 
 /// The gradient of `<adjoint, image>`, in single precision: [`gradient::backward`] with detached MIS and
-/// the points that `settings` asks for. `adjoint` is `[height][width][3]`.
+/// the points that `settings` asks for. `adjoint` is `[height][width][3]`; one slice for each range of `active`.
+///
+/// Reverse and forward mode at one seed follow the same paths: the derivative along a direction is the gradient times
+/// that direction.
+///
+/// ```
+/// use render::Job;
+/// use render::instances::{Direction, Estimator, backward_f32, forward_f32};
+/// use render::params::Theta;
+///
+/// let room = render::scene::room(8, 8)?;
+/// let theta = Theta::constant(room.params().values());
+/// let job = Job::new(&room, &room.settings, 1, 0..16, &());
+/// let active = Estimator::Mis.active(&room, &["sphere.alpha.value", "left.reflectance.value"])?;
+/// let adjoint = vec![1.0 / 192.0; 8 * 8 * 3]; // of the mean of all pixels and channels
+/// let gradient = backward_f32(&job, &theta, &active, &adjoint)?;
+/// assert_eq!(gradient.values.iter().map(Vec::len).collect::<Vec<_>>(), [1, 3]); // a slice per range
+///
+/// let along = Direction::uniform(room.params(), "left.reflectance.value")?;
+/// let change = forward_f32(&job, theta.values(), &[along])?.mean(1).iter().sum::<f64>() / 3.0;
+/// let summed: f64 = gradient.values[1].iter().sum();
+/// assert!((summed / change - 1.0).abs() < 1e-3, "{summed} {change}");
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 ///
 /// # Errors
 /// An adjoint image of the wrong size; a parameter that moves something.
@@ -214,6 +400,33 @@ pub fn backward_f32(
 }
 
 /// [`backward_f32`] in double precision.
+///
+/// ```
+/// use render::instances::{Estimator, backward_f64, render_f64};
+/// use render::params::Theta;
+/// use render::{Job, Settings};
+///
+/// let room = render::scene::room(8, 8)?;
+/// // Without roulette paths are the same for all colours of a wall, and differences are exact but for their step.
+/// let settings = Settings { rr_depth: u32::MAX, ..room.settings };
+/// let job = Job::new(&room, &settings, 1, 0..4, &());
+/// let mut values: Vec<f64> = room.params().values().iter().map(|&v| v.into()).collect();
+/// let active = Estimator::DOUBLE.active(&room, &["right.reflectance.value"])?;
+/// let adjoint = vec![1.0; 8 * 8 * 3]; // of the sum of all pixels and channels
+/// let gradient = backward_f64(&job, &Theta::constant(&values), &active, &adjoint)?;
+///
+/// let green = room.params().find("right.reflectance.value")?.range().start + 1;
+/// let mut moved = |step: f64| {
+///     values[green] += step;
+///     let image = render_f64(&job, &Theta::constant(&values), Estimator::DOUBLE);
+///     values[green] -= step;
+///     64.0 * image.mean(0).iter().sum::<f64>() // over 8 x 8 pixels
+/// };
+/// let difference = (moved(1e-4) - moved(-1e-4)) / 2e-4;
+/// let derivative = gradient.values[0][1];
+/// assert!((derivative / difference - 1.0).abs() < 1e-6, "{derivative} {difference}");
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 ///
 /// # Errors
 /// Those of [`backward_f32`].
@@ -229,8 +442,27 @@ pub fn backward_f64(
 /// The image and its derivative when all values of `active` move along `direction`, which has one
 /// number per value, in single precision: components 0 and 1. Detached MIS.
 ///
+/// Light is linear in emission: along all that the lamp emits, the derivative is the image.
+///
+/// ```
+/// use render::Job;
+/// use render::instances::{Estimator, tangent_f32};
+///
+/// let room = render::scene::room(8, 8)?;
+/// let (values, lamp) = (room.params().values(), "light.emitter.radiance.value");
+/// let active = Estimator::Mis.active(&room, &[lamp])?;
+/// let emitted = room.params().get(lamp)?;
+/// let job = Job::new(&room, &room.settings, 1, 0..16, &());
+/// let found = tangent_f32(&job, values, &active, emitted)?; // one number per value of `active`, three here
+/// let (image, change) = (found.image(0), found.image(1)); // [height][width][3] both
+/// for (i, d) in image.data.iter().zip(&change.data) {
+///     assert!((i - d).abs() <= 1e-3 * i.max(0.01), "{i} {d}");
+/// }
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
 /// # Errors
-/// A direction of the wrong length; a parameter that moves a Dirac delta.
+/// A direction of the wrong length; a parameter that moves something, or a Dirac delta.
 pub fn tangent_f32(
     job: &Job,
     values: &[f32],
@@ -258,7 +490,9 @@ pub fn tangent_f32(
 }
 
 /// The Hessian of an image loss times a direction, in single precision:
-/// [`second_order::hessian_vector`] with independent samples.
+/// [`second_order::hessian_vector`] with independent samples. `direction` has one number per value of `active`; both images
+/// are `[height][width][3]`, the derivative of the loss and what that changes by along the direction. One slice for each range
+/// of `active`.
 ///
 /// ```
 /// use render::Job;
@@ -282,7 +516,8 @@ pub fn tangent_f32(
 /// ```
 ///
 /// # Errors
-/// Images or a direction of the wrong size.
+/// Images or a direction of the wrong size, parameters that move something, manifold connections, glints that are not left
+/// to paths.
 pub fn hessian_vector_f32(
     job: &Job,
     theta: &Theta<f32>,
@@ -294,10 +529,35 @@ pub fn hessian_vector_f32(
 }
 
 /// Gradient and Gauss-Newton matrix of an image loss, in single precision: [`second_order::gauss_newton`]
-/// with independent samples.
+/// with independent samples. Both images are `[height][width][3]`, the first and the second derivative of the loss in every
+/// pixel and channel; what comes back has one number, and a row, per value of `active`.
+///
+/// ```
+/// use render::Job;
+/// use render::instances::{Estimator, gauss_newton_f32, render_f32};
+/// use render::params::Theta;
+///
+/// let room = render::scene::room(8, 8)?;
+/// let (lamp, theta) = ("light.emitter.radiance.value", Theta::constant(room.params().values()));
+/// let active = Estimator::SECOND_ORDER.active(&room, &[lamp])?;
+/// let job = |seed| Job::new(&room, &room.settings, seed, 0..64, &());
+/// // Half the squared distance to a black target: its first and second derivative, [height][width][3] each.
+/// let image = render_f32(&job(0), &theta, Estimator::Mis).image(0);
+/// let ones = vec![1.0; image.data.len()];
+/// let found = gauss_newton_f32(&job(1), &theta, &active, [&image.data, &ones])?;
+/// assert_eq!((found.gradient.len(), found.matrix.len()), (3, 9)); // n numbers, n x n row by row
+/// assert_eq!(found.matrix[1], 0.0); // colours do not mix
+/// // The loss is a square of what the lamp emits, and the step of Newton's method puts it out.
+/// for c in 0..3 {
+///     let step = found.gradient[c] / found.matrix[4 * c];
+///     let emitted = f64::from(room.params().get(lamp)?[c]);
+///     assert!((step / emitted - 1.0).abs() < 0.05, "{step} {emitted}");
+/// }
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 ///
 /// # Errors
-/// Images of the wrong size, too many values, or fewer than two samples.
+/// Those of [`hessian_vector_f32`]; more than [`second_order::MAX_VALUES`] values, or fewer than two samples.
 pub fn gauss_newton_f32(
     job: &Job,
     theta: &Theta<f32>,
@@ -311,6 +571,25 @@ pub fn gauss_newton_f32(
 ///
 /// Colours do not mix, so adding one number to all three channels of an RGB parameter gives, in channel c of
 /// the image, the derivative with respect to channel c.
+///
+/// ```
+/// use render::Job;
+/// use render::instances::{Direction, forward_f32};
+///
+/// let room = render::scene::room(8, 8)?;
+/// let params = room.params();
+/// let grey = Direction::uniform(params, "left.reflectance.value")?;
+/// let left = params.handle(params.find("left.reflectance.value")?);
+/// let red = Direction::Dense(left, vec![1.0, 0.0, 0.0]); // one number per value of the range
+/// let job = Job::new(&room, &room.settings, 1, 0..16, &());
+/// let found = forward_f32(&job, params.values(), &[grey, red])?;
+/// let (by_grey, by_red) = (found.image(1), found.image(2));
+/// // The red of the image depends on the red of the wall, and nothing else does.
+/// for (grey, red) in by_grey.data.chunks(3).zip(by_red.data.chunks(3)) {
+///     assert_eq!(red, [grey[0], 0.0, 0.0]);
+/// }
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub enum Direction {
     /// One number added to every element of a range.
@@ -340,8 +619,35 @@ impl Direction {
 ///
 /// Renders `Dual<f32, N>` with N in 8, 4, 1, so eleven directions cost two passes over the same samples. Detached MIS.
 ///
+/// ```
+/// use render::instances::{Direction, Estimator, forward_f32, render_f32};
+/// use render::params::Theta;
+/// use render::{Job, Settings};
+///
+/// let room = render::scene::room(8, 8)?;
+/// let settings = Settings { rr_depth: u32::MAX, ..room.settings }; // no roulette: differences see the same paths
+/// let job = Job::new(&room, &settings, 1, 0..4, &());
+/// let names = ["left.reflectance.value", "right.reflectance.value", "white.reflectance.value"];
+/// let along = names.map(|name| Direction::uniform(room.params(), name)).into_iter();
+/// let along = along.collect::<Result<Vec<_>, _>>()?;
+/// let found = forward_f32(&job, room.params().values(), &along)?;
+/// assert_eq!(found.sums.len(), 1 + 3); // the image and three derivatives, [height][width][3] each
+///
+/// let mean = |name: &str, step: f32| -> Result<f64, render::RenderError> {
+///     let mut values = room.params().values().to_vec();
+///     values[room.params().find(name)?.range()].iter_mut().for_each(|v| *v += step);
+///     Ok(render_f32(&job, &Theta::constant(&values), Estimator::Mis).mean(0)[0])
+/// };
+/// for (k, name) in names.iter().enumerate() {
+///     let difference = (mean(name, 0.02)? - mean(name, -0.02)?) / 0.04;
+///     let derivative = found.mean(1 + k)[0]; // of the red of the mean, by the red of the wall
+///     assert!((derivative / difference - 1.0).abs() < 0.01, "{name}: {derivative} {difference}");
+/// }
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
 /// # Errors
-/// A dense direction of the wrong length; a parameter that moves a Dirac delta.
+/// A dense direction of the wrong length; a parameter that moves something, or a Dirac delta.
 pub fn forward_f32(
     job: &Job,
     values: &[f32],
@@ -362,6 +668,38 @@ pub fn forward_f32(
 }
 
 /// [`forward_f32`] by [`Estimator::Edges`], for what moves: eight directions at a time over the same samples.
+///
+/// The light of a square lamp under parallel rays is proportional to its area: to the square of its scale.
+///
+/// ```
+/// use render::instances::{Direction, forward_edges_f32};
+/// use render::{Job, Scene};
+///
+/// let text = r#"<scene version="3.0.0">
+///     <sensor type="orthographic">
+///         <film type="hdrfilm"><integer name="width" value="8"/><integer name="height" value="8"/></film>
+///     </sensor>
+///     <shape type="rectangle" id="lamp">
+///         <transform name="to_world"><scale value="0.5"/><rotate y="1" angle="180"/><translate z="2"/></transform>
+///         <emitter type="area"><rgb name="radiance" value="1"/></emitter>
+///     </shape>
+/// </scene>"#;
+/// let (mut scene, _) = Scene::from_xml(text, "".as_ref(), &Default::default())?;
+/// scene.make_movable(&["lamp.scale", "lamp.translation"])?;
+/// let (params, settings) = (scene.params(), scene.settings);
+/// let right = params.handle(params.find("lamp.translation")?);
+/// let along = [
+///     Direction::uniform(params, "lamp.scale")?,
+///     Direction::Dense(right, vec![1.0, 0.0, 0.0]), // a unit of the scene along x
+/// ];
+/// let job = Job::new(&scene, &settings, 1, 0..256, &());
+/// let found = forward_edges_f32(&job, params.values(), &along)?;
+/// let [light, by_scale, by_shift] = [0, 1, 2].map(|k| found.mean(k)[0]); // means over pixels
+/// assert!((light - 0.25).abs() < 0.01, "{light}"); // a quarter of the picture
+/// assert!((by_scale - 2.0 * light).abs() < 0.05, "{by_scale}");
+/// assert!(by_shift.abs() < 0.05, "{by_shift}"); // what one side loses the other gains
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 ///
 /// # Errors
 /// A dense direction of the wrong length; a scene or a parameter that edges do not admit.
@@ -431,11 +769,34 @@ fn forward<const N: usize>(
     run::<Dual<f32, N>, DetachedMis>(job, &theta)
 }
 
-/// The image and its derivative along one direction with [`Estimator::Mis`] in double precision: what single
-/// precision costs in accuracy, and gains in time.
+/// The image and its derivative along one direction with [`Estimator::Mis`] in double precision, at the values that the scene
+/// has: components 0 and 1. What single precision costs in accuracy, and gains in time.
+///
+/// ```
+/// use render::instances::{Direction, Estimator, forward_f64, render_f64};
+/// use render::params::Theta;
+/// use render::{Job, Settings};
+///
+/// let room = render::scene::room(8, 8)?;
+/// // Without roulette paths are the same for all colours of a wall, and differences are exact but for their step.
+/// let settings = Settings { rr_depth: u32::MAX, ..room.settings };
+/// let job = Job::new(&room, &settings, 1, 0..4, &());
+/// let wall = room.params().find("left.reflectance.value")?;
+/// let mean = |step: f64| {
+///     let mut values: Vec<f64> = room.params().values().iter().map(|&v| v.into()).collect();
+///     values[wall.range()].iter_mut().for_each(|v| *v += step);
+///     render_f64(&job, &Theta::constant(&values), Estimator::DOUBLE).mean(0)
+/// };
+/// let found = forward_f64(&job, &Direction::uniform(room.params(), &wall.name)?)?;
+/// for c in 0..3 {
+///     let (derivative, difference) = (found.mean(1)[c], (mean(1e-4)[c] - mean(-1e-4)[c]) / 2e-4);
+///     assert!((derivative / difference - 1.0).abs() < 1e-6, "{derivative} {difference}");
+/// }
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 ///
 /// # Errors
-/// A dense direction of the wrong length; a parameter that moves a Dirac delta.
+/// A dense direction of the wrong length; a parameter that moves something, or a Dirac delta.
 pub fn forward_f64(job: &Job, direction: &Direction) -> Result<Rendering, RenderError> {
     let &Job { scene, .. } = job;
     check_directions(scene, std::slice::from_ref(direction))?;
@@ -497,6 +858,25 @@ fn tangents<'a, const N: usize>(
 macro_rules! estimators {
     ($($variant:ident $name:literal $strategy:ty, $summary:literal;)*) => {
         /// An estimator of derivatives, by name; see [`crate::estimator`] for what the parts mean.
+        ///
+        /// ```
+        /// use render::instances::Estimator;
+        ///
+        /// let room = render::scene::room(8, 8)?;
+        /// let attached = Estimator::from_name("attached")?;
+        /// assert_eq!(attached.summary(), "BSDF samples that move through one bounce.");
+        /// // What moves its samples is wrong where something may hide something else, and is refused there.
+        /// let right: Vec<_> = Estimator::ALL.iter().filter(|e| e.check(&room).is_ok()).collect();
+        /// assert!(right.contains(&&Estimator::Mis) && !right.contains(&&attached));
+        /// // What it can do is known without a scene.
+        /// let can = Estimator::Edges.capabilities();
+        /// assert!(can.samples_edges && can.modes.reverse && !can.modes.double);
+        /// // Parameters are asked for by name. Their slices of a gradient come in the same order.
+        /// let active = Estimator::Mis.active(&room, &["sphere.alpha.value", "left.reflectance.value"])?;
+        /// assert_eq!((active.ranges().len(), active.len()), (2, 1 + 3));
+        /// assert!(Estimator::Mis.active(&room, &["sphere.alfa.value"]).is_err());
+        /// # Ok::<(), Box<dyn std::error::Error>>(())
+        /// ```
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
         pub enum Estimator {
             $(#[doc = $summary] $variant,)*
@@ -643,6 +1023,26 @@ impl Estimator {
     /// roughness, in single precision (forward mode): components 0 and 1 of the result, `[height][width][3]` each. `values` is
     /// the whole parameter vector.
     ///
+    /// ```
+    /// use render::Job;
+    /// use render::instances::{Direction, Estimator};
+    ///
+    /// let room = render::scene::room(8, 8)?;
+    /// let (params, e) = (room.params(), Estimator::DifferentialMis);
+    /// let job = Job::new(&room, &room.settings, 1, 0..16, &());
+    /// let left = Direction::uniform(params, "left.reflectance.value")?;
+    /// let alpha = Direction::uniform(params, "sphere.alpha.value")?;
+    /// let change = |along: &[Direction]| Ok::<_, render::RenderError>(e.forward_f32(&job, params.values(), along)?.image(1));
+    /// let (left, alpha, both) =
+    ///     (change(&[left.clone()])?, change(&[alpha.clone()])?, change(&[left, alpha])?);
+    /// // Directions add up, pixel by pixel: [height][width][3].
+    /// for (i, both) in both.data.iter().enumerate() {
+    ///     let sum = left.data[i] + alpha.data[i];
+    ///     assert!((sum - both).abs() <= 1e-3 * (left.data[i].abs() + alpha.data[i].abs() + 0.1));
+    /// }
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
     /// # Errors
     /// A direction of the wrong length; an estimator that is wrong in this scene or for this parameter.
     pub fn forward_f32(
@@ -661,6 +1061,27 @@ impl Estimator {
     /// The gradient of `<adjoint, image>` (reverse mode), in single precision: one slice for each range of `active`.
     /// `adjoint` is `[height][width][3]`, the derivative of the loss in every pixel and channel of the crop window, from an image
     /// with another seed (errata Z-4.4).
+    ///
+    /// ```
+    /// use render::Job;
+    /// use render::instances::{Estimator, render_f32};
+    /// use render::params::Theta;
+    ///
+    /// let room = render::scene::room(8, 8)?;
+    /// let theta = Theta::constant(room.params().values());
+    /// let e = Estimator::Detached;
+    /// let active = e.active(&room, &["light.emitter.radiance.value"])?;
+    /// let adjoint = vec![1.0 / 192.0; 8 * 8 * 3]; // of the mean of all pixels and channels
+    /// let job = Job::new(&room, &room.settings, 1, 0..64, &());
+    /// let gradient = e.backward_f32(&job, &theta, &active, &adjoint)?;
+    /// // The mean is linear in what the only lamp emits; here the seed is the same, so that even the noise is.
+    /// let emitted = room.params().get("light.emitter.radiance.value")?;
+    /// let mean: f64 = gradient.values[0].iter().zip(emitted).map(|(d, &e)| d * f64::from(e)).sum();
+    /// let image = render_f32(&job, &theta, e);
+    /// let expected = image.mean(0).iter().sum::<f64>() / 3.0;
+    /// assert!((mean / expected - 1.0).abs() < 1e-3, "{mean} {expected}");
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
     ///
     /// # Errors
     /// An adjoint image of the wrong size; an estimator that is wrong in this scene, or has no terms for what moves.

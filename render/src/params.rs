@@ -164,6 +164,20 @@ impl ParamKind {
 }
 
 /// One named range.
+///
+/// ```
+/// use render::params::{ParamKind, ParamShape};
+///
+/// let room = render::scene::room(8, 8)?;
+/// let alpha = room.params().find("sphere.alpha")?; // the ending may be left out
+/// assert_eq!((alpha.name.as_str(), alpha.shape), ("sphere.alpha.value", ParamShape::Scalar));
+/// assert_eq!((alpha.kind, alpha.valid), (ParamKind::Roughness, (1e-4, 1.0)));
+/// assert_eq!(room.params().values()[alpha.range()], [0.2]);
+///
+/// let texels = ParamShape::Texture { height: 4, width: 8, channels: 3 };
+/// assert_eq!(texels.len(), 4 * 8 * 3); // [height][width][channels] in the flat vector
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct ParamInfo {
     /// Such as `red.reflectance.value`.
@@ -186,6 +200,26 @@ impl ParamInfo {
 }
 
 /// Names, places and values of all parameters of a scene.
+///
+/// ```
+/// use render::params::{ParamKind, ParamShape, Params};
+///
+/// // Those of a scene are read; `Scene::set` and `Scene::set_params` replace them.
+/// let room = render::scene::room(8, 8)?;
+/// let params = room.params();
+/// let end = params.infos().iter().map(|i| i.range().end).max();
+/// assert_eq!(end, Some(params.values().len())); // ranges lie one behind another
+/// let walls = params.matching("*.reflectance")?;
+/// assert!(walls.iter().all(|w| w.kind == ParamKind::Smooth && w.shape == ParamShape::Rgb));
+/// assert_eq!(params.get("left.reflectance")?, &params.values()[params.find("left.reflectance")?.range()]);
+///
+/// // A material of one's own can be tried without a scene.
+/// let mut own = Params::default();
+/// own.push("felt.reflectance.value", ParamShape::Rgb, &[0.5, 0.6, 0.7], (0.0, 1.0));
+/// let second = own.push("felt.reflectance.value", ParamShape::Scalar, &[0.5], (0.0, 1.0));
+/// assert_eq!((own.infos()[1].name.as_str(), second.offset), ("felt.reflectance.value_1", 3));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Clone, Debug, Default)]
 pub struct Params {
     infos: Vec<ParamInfo>,
@@ -539,6 +573,27 @@ impl<R> Clone for Tangents<'_, R> {
 impl<R> Copy for Tangents<'_, R> {}
 
 /// Theta as seen by code over the scalar `R`.
+///
+/// ```
+/// use ad_core::{Dual, Real};
+/// use render::params::{ParamShape, Params, Tangent, Theta};
+///
+/// let mut params = Params::default();
+/// let a = params.push("a", ParamShape::Scalar, &[3.0], (0.0, 9.0));
+/// let b = params.push("b", ParamShape::Scalar, &[2.0], (0.0, 9.0));
+/// fn model<R: Real>(a: R, b: R) -> R {
+///     a * a * b
+/// }
+/// let plain = Theta::<f32>::constant(params.values());
+/// assert_eq!(model(plain.get(a, 0), plain.get(b, 0)), 18.0);
+///
+/// // One tangent per range: `a` moves by one and `b` not at all.
+/// type R = Dual<f32, 1>;
+/// let tangents = [Tangent::Uniform(R::new(0.0, [1.0])), Tangent::None];
+/// let moving = Theta::<R>::with_tangents(params.values(), &tangents);
+/// assert!(moving.moves(a) && !moving.moves(b));
+/// assert_eq!(model(moving.get(a, 0), moving.get(b, 0)), R::new(18.0, [2.0 * 3.0 * 2.0]));
+/// ```
 #[derive(Debug)]
 pub struct Theta<'a, R: Real> {
     values: &'a [R::Primal],
@@ -657,6 +712,9 @@ impl<'a, P: Float> Theta<'a, P> {
 }
 
 /// Where adjoints of parameters go.
+///
+/// A material of one's own can be asked for the adjoints of its parameters by a sink of a few lines: see the example of
+/// [`crate::bsdf`].
 pub trait GradSink<P: Float> {
     /// Whether derivatives in this range are wanted.
     fn active(&self, p: ParamRef) -> bool;

@@ -195,6 +195,11 @@ impl Family {
 }
 
 /// How the samples of a pixel are spread.
+///
+/// The default is that of the library, [`Points::Independent`]: the variance of an estimator is defined by independent
+/// samples, and what compares estimators wants them. The tools and Python choose [`Points::Sobol`], which have the least error
+/// for the same work, unless they are told otherwise. `scene.settings.points = Points::Sobol` does so in code; see the example
+/// of [`Settings`](crate::Settings).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Points {
     /// Each on its own.

@@ -391,6 +391,66 @@ fn the_readme_shows_code_that_runs() {
     assert_eq!(shown, run);
 }
 
+/// Whether the documentation right above a line shows code.
+fn has_example(lines: &[&str], at: usize) -> bool {
+    let above = lines[..at].iter().rev().map(|l| l.trim_start());
+    let mut above = above.take_while(|l| l.starts_with("//") || l.starts_with("#["));
+    above.any(|l| l.starts_with("/// ```"))
+}
+
+/// The name that a line makes public as a function or a type, if it does.
+fn public_item(line: &str) -> Option<&str> {
+    let mut kinds = ["pub fn ", "pub struct ", "pub enum "].iter();
+    let rest = kinds.find_map(|kind| line.strip_prefix(kind))?;
+    rest.split(|c: char| !c.is_alphanumeric() && c != '_')
+        .next()
+}
+
+/// What a user of `render` meets first has examples, which are run: functions and types of `instances`, methods that render
+/// or differentiate among them, and all that the crate's root exports.
+#[test]
+fn the_front_door_has_examples() {
+    let mut found = 0;
+    let instances = read("render/src/instances.rs");
+    let lines: Vec<&str> = instances.lines().collect();
+    for (at, line) in lines.iter().enumerate() {
+        let Some(name) = public_item(line.trim_start()) else {
+            continue;
+        };
+        let computes = name.ends_with("_f32") || name.ends_with("_f64");
+        if computes || !line.starts_with(' ') || name == "Estimator" {
+            assert!(has_example(&lines, at), "instances::{name} has no example");
+            found += 1;
+        }
+    }
+    assert!(found > 15, "only {found} items found");
+
+    let source = root().join("render/src");
+    let library = read("render/src/lib.rs");
+    let mut exported = BTreeSet::new();
+    for line in library.lines().filter_map(|l| l.strip_prefix("pub use ")) {
+        let (module, names) = line.split_once("::").expect("a module of the crate");
+        let names = names.split(|c: char| !c.is_alphanumeric() && c != '_');
+        exported.extend(names.filter(|n| !n.is_empty()).map(|n| (module, n)));
+    }
+    assert!(exported.len() > 5, "only {exported:?} found");
+    for (module, name) in exported {
+        let inside = |path: &&PathBuf| {
+            let own = path.strip_prefix(&source).ok();
+            own.is_some_and(|p| p.starts_with(module) || p == Path::new(&format!("{module}.rs")))
+        };
+        let shown = files(&[".rs"]).iter().filter(inside).any(|path| {
+            let text = read(path);
+            let lines: Vec<&str> = text.lines().collect();
+            let defined = |at: &usize| public_item(lines[*at]) == Some(name);
+            (0..lines.len())
+                .filter(defined)
+                .any(|at| has_example(&lines, at))
+        });
+        assert!(shown, "render::{name} has no example");
+    }
+}
+
 /// Names in the first column of the tables of a document, in backticks.
 fn listed(document: &str) -> Vec<String> {
     let rows = document.lines().filter_map(|l| l.strip_prefix("| `"));

@@ -11,6 +11,26 @@ use crate::params::Theta;
 use crate::scene::Scene;
 
 /// Estimators, and how work and pixels are shared among them; see [`crate::auto`].
+///
+/// That of one estimator is this estimator:
+///
+/// ```
+/// use render::Job;
+/// use render::auto::Mixture;
+/// use render::instances::Estimator;
+/// use render::params::Theta;
+///
+/// let room = render::scene::room(8, 8)?;
+/// let theta = Theta::constant(room.params().values());
+/// let (names, e) = (["sphere.alpha.value"], Estimator::DifferentialMis);
+/// let adjoint = vec![1.0 / 192.0; 8 * 8 * 3]; // of the mean of all pixels and channels
+/// let job = Job::new(&room, &room.settings, 1, 0..16, &());
+/// let mixture = Mixture::only(&room, e, &names);
+/// let found = mixture.backward_f32(&job, &theta, &names, &adjoint)?; // a slice per name
+/// let alone = e.backward_f32(&job, &theta, &e.active(&room, &names)?, &adjoint)?;
+/// assert_eq!(found.values, alone.values);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct Mixture {
     pub(super) clusters: Vec<Cluster>,

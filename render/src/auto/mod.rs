@@ -65,6 +65,24 @@ pub use pixels::{pixel_weights, pixel_weights_of};
 /// one of many things in forward mode); the power heuristic between rough things, where light samples
 /// find what there is and should keep their weight; or the differential pair where smooth things mirror what is lit,
 /// since few samples carry the variance of detached sampling there.
+///
+/// ```
+/// use render::auto::{able, candidates};
+/// use render::instances::Estimator;
+///
+/// let mut room = render::scene::room(8, 8)?;
+/// let all = candidates(&room);
+/// assert!(all.iter().all(|e| e.check(&room).is_ok()));
+/// assert!(all.contains(&Estimator::Emitter)); // all roughness is at least 0.1
+/// room.set([("sphere.alpha.value", &[0.02][..])])?;
+/// assert!(!candidates(&room).contains(&Estimator::Emitter));
+///
+/// // What moves is seen by one of them, which is a candidate as soon as something may.
+/// room.make_movable(&["sphere.translation"])?;
+/// let moves = room.params().find("sphere.translation")?;
+/// assert_eq!(able(&room, moves, &candidates(&room))?, [Estimator::Edges]);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 pub fn candidates(scene: &Scene) -> Vec<Estimator> {
     /// Smoothest roughness, and sharpest exponent, for which lights need no help.
     const ROUGH: (f32, f32) = (0.1, 200.0);
@@ -144,6 +162,26 @@ pub fn candidates(scene: &Scene) -> Vec<Estimator> {
 /// material or emitter together, or all of them. The first candidate that sees the parameters is taken where not
 /// even that fits, and where few samples carry most of its variance: then nothing was measured. With a budget that does
 /// not even suffice for [`costs()`], its samples count as those of `mis`.
+///
+/// ```
+/// use render::Job;
+/// use render::auto::{PILOTS, candidates, choose};
+/// use render::instances::Mode;
+///
+/// let room = render::scene::room(8, 8)?;
+/// let names = ["sphere.alpha.value", "left.reflectance.value"];
+/// let adjoint = vec![1.0 / 192.0; 8 * 8 * 3]; // of the mean of all pixels and channels
+/// let job = Job::new(&room, &room.settings, 1, 0..1024, &()); // the work to come
+/// let mixture = choose(&job, &names, &adjoint, &candidates(&room), Mode::Reverse)?;
+/// // Shares are parts of all work, and each parameter has some of it.
+/// let shares: f64 = mixture.shares().iter().map(|(_, share)| share).sum();
+/// assert!((shares - 1.0).abs() < 1e-9 && names.iter().all(|name| mixture.share(name) > 0.0));
+/// assert!(mixture.spent() <= PILOTS * 1024.0); // samples of `mis` per pixel
+/// // The same job gives the same mixture.
+/// let again = choose(&job, &names, &adjoint, &candidates(&room), Mode::Reverse)?;
+/// assert_eq!(mixture.shares(), again.shares());
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 ///
 /// # Errors
 /// An unknown name, an adjoint of the wrong size, a parameter that no candidate sees.

@@ -58,6 +58,22 @@ impl Level {
 /// a quarter of its even share, so its variance rises to four times at most, if its samples are independent. The variance
 /// of Sobol points, which the pass does not know, can rise by more where light is smooth.
 ///
+/// ```
+/// use render::auto::pixel_weights;
+/// use render::instances::Estimator;
+///
+/// let mut room = render::scene::room(8, 8)?;
+/// let adjoint = vec![1.0 / 192.0; 8 * 8 * 3]; // of the mean of all pixels and channels
+/// let (names, settings) = (["sphere.alpha.value"], room.settings);
+/// let weights = pixel_weights(&room, &names, &adjoint, Estimator::Mis, &settings, 1, &())?;
+/// assert_eq!(weights.len(), 8 * 8); // [height][width]
+/// // The roughness of the sphere, at the lower right, matters more there than in the opposite corner.
+/// let at = |x: usize, y: usize| weights[8 * y + x];
+/// assert!(at(5, 5) > 2.0 * at(0, 0));
+/// room.set_pixel_weights(&weights)?;
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
 /// # Errors
 /// An unknown name, an adjoint of the wrong size, a parameter or scene that is not for this estimator.
 pub fn pixel_weights<N: AsRef<str>>(

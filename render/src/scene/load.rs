@@ -26,6 +26,33 @@ use crate::shape::{AnyShape, Cube, Curves, Instance, MERGED, Mesh, Shape, Sphere
 use crate::texture;
 
 /// How a scene file is loaded.
+///
+/// ```
+/// use render::{Scene, scene::LoadOptions};
+///
+/// let text = r#"<scene version="3.0.0">
+///     <default name="res" value="256"/>
+///     <sensor type="perspective" id="front">
+///         <float name="fov" value="40"/>
+///         <film type="hdrfilm"><integer name="width" value="$res"/><integer name="height" value="$res"/></film>
+///     </sensor>
+///     <sensor type="perspective" id="side"><float name="fov" value="20"/></sensor>
+///     <shape type="sphere"><bsdf type="diffuse" id="wood">
+///         <texture type="bitmap" name="reflectance"><string name="filename" value="wood.png"/></texture>
+///     </bsdf></shape>
+/// </scene>"#;
+/// let options = LoadOptions {
+///     defines: vec![("res".into(), "16".into())], // as `-D res=16` of the tools
+///     allow_missing: true,                        // grey in place of `wood.png`
+///     sensor: Some("front".into()),
+///     ..Default::default()
+/// };
+/// let (scene, warnings) = Scene::from_xml(text, "".as_ref(), &options)?;
+/// assert_eq!(scene.film.size, [16, 16]);
+/// assert!(warnings.iter().any(|w| w.contains("wood.png")), "{warnings:?}");
+/// assert!(Scene::from_xml(text, "".as_ref(), &LoadOptions::default()).is_err()); // `wood.png` is missing
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Clone, Debug, Default)]
 pub struct LoadOptions {
     /// Values for the file's `$names`, instead of their defaults.
@@ -137,6 +164,18 @@ pub(super) fn plugins() -> Vec<(&'static str, Vec<&'static str>)> {
 impl Scene {
     /// Loads a scene; the second value lists what was ignored or substituted.
     ///
+    /// ```
+    /// use render::{Scene, scene::LoadOptions};
+    ///
+    /// let small = LoadOptions { defines: vec![("res".into(), "16".into())], ..Default::default() };
+    /// let (scene, warnings) = Scene::load("../examples/scenes/cornell.xml".as_ref(), &small)?;
+    /// assert!(warnings.is_empty()); // nothing was ignored
+    /// assert_eq!((scene.film.size, scene.settings.spp), ([16, 16], 64));
+    /// assert_eq!(scene.params().get("red.reflectance.value")?, [0.65, 0.05, 0.05]);
+    /// assert_eq!(scene.files().len(), 1); // textures and meshes would follow
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
     /// # Errors
     /// Anything wrong with the file or the files it names, with its place.
     pub fn load(path: &Path, options: &LoadOptions) -> Result<(Self, Vec<String>), SceneError> {
@@ -149,6 +188,19 @@ impl Scene {
     }
 
     /// [`Scene::load`] from the text of a scene file; file names in it are relative to `base`.
+    ///
+    /// See the example of [`Scene`]. What a file has wrong is said with its line:
+    ///
+    /// ```
+    /// use render::Scene;
+    ///
+    /// let text = r#"<scene version="3.0.0">
+    ///     <sensor type="perspective"><float name="fov" value="40"/></sensor>
+    ///     <shape type="sphere"><float name="radios" value="2"/></shape>
+    /// </scene>"#;
+    /// let error = Scene::from_xml(text, "".as_ref(), &Default::default()).unwrap_err().to_string();
+    /// assert!(error.starts_with("<text>:3: ") && error.contains("`radios`"), "{error}");
+    /// ```
     ///
     /// # Errors
     /// As [`Scene::load`].

@@ -62,6 +62,35 @@ pub(crate) use pixels::PixelShares;
 pub(crate) use shares::Shares;
 
 /// How a scene file wants to be rendered.
+///
+/// A scene has those of its file, and every [`Job`](crate::Job) is given some, which may be others. How samples are spread
+/// is no matter of the file: they are [independent](Points::Independent) unless told otherwise, since the variance of an
+/// estimator is defined by such samples. The tools and Python take [Sobol points](Points::Sobol), which have the least error.
+/// One line switches:
+///
+/// ```
+/// use render::instances::{Estimator, render_f32};
+/// use render::params::Theta;
+/// use render::sampler::Points;
+/// use render::{Job, Settings};
+///
+/// let room = render::scene::room(8, 8)?;
+/// let independent = Settings { max_depth: 2, ..room.settings }; // emission and direct light only
+/// let sobol = Settings { points: Points::Sobol, ..independent };
+///
+/// let theta = Theta::constant(room.params().values());
+/// let image = |settings, seed, spp| {
+///     render_f32(&Job::new(&room, settings, seed, 0..spp, &()), &theta, Estimator::Mis).image(0)
+/// };
+/// let converged = image(&sobol, 1, 1024);
+/// let error = |settings| {
+///     let noisy = image(settings, 0, 64); // Sobol points are best in powers of two
+///     let pairs = noisy.data.iter().zip(&converged.data);
+///     pairs.map(|(a, b)| (a - b).powi(2)).sum::<f32>()
+/// };
+/// assert!(2.0 * error(&sobol) < error(&independent)); // of squares, summed over [height][width][3]
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
     /// Largest number of path edges: 1 is emission only, 2 direct light.
@@ -198,6 +227,41 @@ pub struct ShapeInfo {
 }
 
 /// A scene. Which shapes there are is fixed; parameters can be changed with [`Scene::set_params`].
+///
+/// Under an even sky a convex body of reflectance `rho` has the radiance `rho` times that of the sky, whatever its shape:
+///
+/// ```
+/// use render::instances::{Estimator, render_f32};
+/// use render::params::Theta;
+/// use render::{Job, Scene};
+///
+/// let text = r#"<scene version="3.0.0">
+///     <sensor type="perspective">
+///         <float name="fov" value="10"/>
+///         <film type="hdrfilm"><integer name="width" value="6"/><integer name="height" value="4"/></film>
+///     </sensor>
+///     <bsdf type="diffuse" id="clay"><rgb name="reflectance" value="0.5"/></bsdf>
+///     <shape type="sphere"><point name="center" z="5"/><ref id="clay"/></shape>
+///     <emitter type="constant"><rgb name="radiance" value="1, 2, 3"/></emitter>
+/// </scene>"#;
+/// let (mut scene, warnings) = Scene::from_xml(text, "".as_ref(), &Default::default())?;
+/// assert!(warnings.is_empty());
+/// scene.set([("clay.reflectance.value", &[0.5, 0.5, 0.25][..])])?;
+///
+/// let theta = Theta::constant(scene.params().values());
+/// let job = Job::new(&scene, &scene.settings, 0, 0..4, &());
+/// // Scattered directions alone have no noise here.
+/// let image = render_f32(&job, &theta, Estimator::Detached).image(0);
+/// assert_eq!((image.height, image.width), (4, 6)); // `data` is [height][width][3], linear RGB
+/// for pixel in image.data.chunks(3) {
+///     for (found, expected) in pixel.iter().zip([0.5, 1.0, 0.75]) {
+///         assert!((found - expected).abs() < 1e-5, "{found}");
+///     }
+/// }
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// Code builds scenes with a [`Builder`]; [`Scene::load`] reads those of files.
 #[derive(Debug)]
 pub struct Scene {
     params: Params,
@@ -417,6 +481,39 @@ impl Scene {
     /// says otherwise (`sampling_weight`); `auto::sampling_weights` measures which are best. No expectation
     /// changes, only variances do.
     ///
+    /// ```
+    /// use render::instances::{Estimator, render_f32};
+    /// use render::params::Theta;
+    /// use render::{Job, Scene, auto};
+    ///
+    /// let text = r#"<scene version="3.0.0">
+    ///     <sensor type="perspective">
+    ///         <float name="fov" value="30"/>
+    ///         <film type="hdrfilm"><integer name="width" value="8"/><integer name="height" value="8"/></film>
+    ///     </sensor>
+    ///     <shape type="rectangle">
+    ///         <transform name="to_world"><scale value="3"/><rotate y="1" angle="180"/><translate z="5"/></transform>
+    ///     </shape>
+    ///     <emitter type="point"><rgb name="intensity" value="99"/></emitter>
+    ///     <emitter type="point"><rgb name="intensity" value="1"/></emitter>
+    /// </scene>"#;
+    /// let (mut scene, _) = Scene::from_xml(text, "".as_ref(), &Default::default())?;
+    /// let adjoint = vec![1.0 / 192.0; 8 * 8 * 3]; // of the mean of all pixels and channels
+    /// let (none, settings): (&[&str], _) = (&[], scene.settings); // of the image, and of no derivative
+    /// let weights = auto::sampling_weights(&scene, none, &adjoint, Estimator::Mis, &settings, 1, &())?;
+    /// assert!(weights[0] > 5.0 * weights[1]); // one per emitter
+    ///
+    /// let mean = |scene: &Scene| {
+    ///     let (job, values) = (Job::new(scene, &settings, 0, 0..64, &()), scene.params().values());
+    ///     render_f32(&job, &Theta::constant(values), Estimator::Mis).mean(0)[0]
+    /// };
+    /// let even = mean(&scene);
+    /// scene.set_sampling_weights(&weights)?;
+    /// assert!((mean(&scene) / even - 1.0).abs() < 0.05); // the same but for noise
+    /// assert!(scene.set_sampling_weights(&[1.0]).is_err());
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
     /// # Errors
     /// Wrong length, or a weight that is not a positive number.
     pub fn set_sampling_weights(&mut self, weights: &[f64]) -> Result<(), RenderError> {
@@ -448,6 +545,25 @@ impl Scene {
     /// taken in all; `auto::pixel_weights` measures which are best. No expectation changes, only variances do.
     /// Particles are not concerned.
     ///
+    /// ```
+    /// use render::instances::{Estimator, render_f32};
+    /// use render::params::Theta;
+    /// use render::{Job, Scene};
+    ///
+    /// let mut room = render::scene::room(8, 8)?;
+    /// let mean = |room: &Scene| {
+    ///     let (job, values) = (Job::new(room, &room.settings, 0, 0..64, &()), room.params().values());
+    ///     render_f32(&job, &Theta::constant(values), Estimator::Mis).mean(0)[0]
+    /// };
+    /// let even = mean(&room);
+    /// // [height][width]: four times the samples for the upper half, where the lamp is.
+    /// let weights: Vec<f32> = (0..64).map(|pixel| if pixel < 32 { 4.0 } else { 1.0 }).collect();
+    /// room.set_pixel_weights(&weights)?;
+    /// assert!((mean(&room) / even - 1.0).abs() < 0.05); // the same but for noise
+    /// assert!(room.set_pixel_weights(&weights[1..]).is_err());
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
     /// # Errors
     /// Wrong length, or a weight that is negative or not finite.
     pub fn set_pixel_weights(&mut self, weights: &[f32]) -> Result<(), RenderError> {
@@ -478,6 +594,26 @@ impl Scene {
     /// Makes half of the directions that paths scatter from diffuse surfaces go where light comes from, as
     /// `auto::guide` has learned. No expectation changes, only variances do. Estimators whose samples or weights
     /// move with the parameters, particles and finite elements are not concerned.
+    ///
+    /// ```
+    /// use render::instances::{Estimator, render_f32};
+    /// use render::params::Theta;
+    /// use render::{Job, Scene, Settings, auto};
+    ///
+    /// let mut room = render::scene::room(8, 8)?;
+    /// let settings = Settings { max_depth: 3, ..room.settings };
+    /// let mean = |room: &Scene| {
+    ///     let (job, values) = (Job::new(room, &settings, 0, 0..64, &()), room.params().values());
+    ///     render_f32(&job, &Theta::constant(values), Estimator::Detached).mean(0)[0]
+    /// };
+    /// let blind = mean(&room);
+    /// assert!(auto::guide(&mut room, &settings, 1, &())); // learns, and sets what it has learned
+    /// let guided = mean(&room);
+    /// assert!((guided / blind - 1.0).abs() < 0.1 && guided != blind); // the same but for noise
+    /// room.set_guide(None);
+    /// assert_eq!(mean(&room), blind);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
     pub fn set_guide(&mut self, guide: Option<Guide>) {
         self.guide = guide;
     }

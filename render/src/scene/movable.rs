@@ -169,6 +169,23 @@ impl Scene {
     ///
     /// Mitsuba's keys stand for these where they mean the same: `positions`, and `x_fov`, of the
     /// sensor or its class, where that is the angle. Matrices are set and read ([`Scene::to_world`]).
+    ///
+    /// ```
+    /// use render::params::ParamKind;
+    ///
+    /// let mut room = render::scene::room(8, 8)?;
+    /// let all = room.movables();
+    /// let lens = all.iter().find(|m| m.name == "sensor.fov").expect("a pinhole has an angle");
+    /// assert_eq!((lens.kind, lens.shape.len()), (ParamKind::Camera, 1));
+    /// assert!(all.iter().any(|m| m.name == "sphere.translation" && m.kind == ParamKind::Position));
+    ///
+    /// // One of them becomes a parameter, behind all others.
+    /// let before = room.params().values().len();
+    /// room.make_movable(&["sensor.fov"])?;
+    /// assert_eq!(room.params().get("sensor.fov")?, [38.0]); // degrees
+    /// assert_eq!(room.params().values().len(), before + 1);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
     pub fn movables(&self) -> Vec<Movable> {
         let mut all = Vec::new();
         let part = |name: &str, part: Freedom, kind, what| Movable {

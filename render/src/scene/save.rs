@@ -125,6 +125,23 @@ impl Scene {
     /// were read from such ones and as PLY files otherwise: world space, with the normals and texture coordinates that they have.
     /// What has no effect here is written as it was read. Returns all files, the scene last.
     ///
+    /// ```
+    /// use render::Scene;
+    ///
+    /// let folder = std::env::temp_dir().join(format!("save-{}", std::process::id()));
+    /// std::fs::create_dir_all(&folder)?;
+    /// let (mut scene, _) = Scene::load("../examples/scenes/cornell.xml".as_ref(), &Default::default())?;
+    /// scene.set([("red.reflectance.value", &[0.1, 0.2, 0.3][..])])?;
+    /// let files = scene.save(&folder.join("blue.xml"))?;
+    /// assert_eq!(files, [folder.join("blue.xml")]); // images of texels and meshes would come before it
+    ///
+    /// let (again, _) = Scene::load(&files[0], &Default::default())?;
+    /// assert_eq!(again.params().values(), scene.params().values());
+    /// assert!(render::scene::room(8, 8)?.save(&folder.join("room.xml")).is_err()); // it was read from no file
+    /// # std::fs::remove_dir_all(&folder)?;
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
     /// # Errors
     /// A scene that was not read from a file; a folder in which one of its own files would be replaced; a parameter that
     /// has changed and that no attribute, image or mesh of the file holds, such as the colours of meshes, the images in
