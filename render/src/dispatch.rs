@@ -2,8 +2,7 @@
 //!
 //! The members marked `inline` are compiled into the path tracer's loop; everything else is
 //! called. With all of them inlined the loop would spill to memory in every scene; with none, the
-//! commonest ones would pass their interactions through memory and wait for it (a third of the time of
-//! a diffuse scene).
+//! commonest ones would pass their interactions through memory and wait for it, in diffuse scenes above all.
 
 /// Runs `f` as a call of its own.
 #[inline(never)]

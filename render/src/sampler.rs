@@ -503,6 +503,7 @@ impl Sampler for Spread {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::statistics::z_limit;
 
     /// No two decisions of a path, or of a particle, share a dimension.
     #[test]
@@ -581,8 +582,7 @@ mod tests {
         }
     }
 
-    /// Uniform over seeds, and uncorrelated between pixels, seeks and seeds: each within 4 standard
-    /// errors (7 tests, significance 6e-5 each).
+    /// Uniform over seeds, and uncorrelated between pixels, seeks and seeds: seven tests, significance 1 in 1000 together.
     #[test]
     fn sobol_points_are_uniform_and_unrelated_elsewhere() {
         let n = 100_000u64;
@@ -593,13 +593,14 @@ mod tests {
         };
         let z = |sum: f64, sd: f64| (sum / n as f64 / (sd / (n as f64).sqrt())).abs();
         let sd = (1.0f64 / 12.0).sqrt();
+        let limit = z_limit(7, n, 1e-3);
         for index in [0, 1, 77, 1 << 20] {
             let sum: f64 = (0..n).map(|i| draw(i, 1, index, 2)).sum();
-            assert!(z(sum, sd) < 4.0, "{index}");
+            assert!(z(sum, sd) < limit, "{index}");
         }
         for (seed, pixel, dim) in [(1, 0, 0), (0, 1, 0), (0, 0, 3)] {
             let pairs = (0..n).map(|i| draw(i, i, 5, 2) * draw(i + seed, i + pixel, 5, 2 + dim));
-            assert!(z(pairs.sum(), 1.0 / 12.0) < 4.0, "{seed} {pixel} {dim}");
+            assert!(z(pairs.sum(), 1.0 / 12.0) < limit, "{seed} {pixel} {dim}");
         }
     }
 
@@ -635,8 +636,8 @@ mod tests {
         );
     }
 
-    /// Mean, variance and correlation between neighbouring pixels, samples and dimensions, each
-    /// within 4 standard errors (8 tests, significance 6e-5 each).
+    /// Mean, variance and correlation between neighbouring pixels, samples and dimensions: eight tests, significance 1 in
+    /// 1000 together.
     #[test]
     fn streams_are_uniform_and_uncorrelated() {
         let n = 200_000u64;
@@ -649,10 +650,11 @@ mod tests {
             let sum: f64 = values.sum();
             (sum / n as f64 - mean) / (sd / (n as f64).sqrt())
         };
+        let limit = z_limit(8, n, 1e-3);
         let sd = (1.0f64 / 12.0).sqrt();
-        assert!(z(&mut (0..n).map(|i| draw(i, 0, 0)), 0.0, sd).abs() < 4.0);
-        assert!(z(&mut (0..n).map(|i| draw(0, i, 0)), 0.0, sd).abs() < 4.0);
-        assert!(z(&mut (0..n).map(|i| draw(0, 0, i as u32)), 0.0, sd).abs() < 4.0);
+        assert!(z(&mut (0..n).map(|i| draw(i, 0, 0)), 0.0, sd).abs() < limit);
+        assert!(z(&mut (0..n).map(|i| draw(0, i, 0)), 0.0, sd).abs() < limit);
+        assert!(z(&mut (0..n).map(|i| draw(0, 0, i as u32)), 0.0, sd).abs() < limit);
         let square_sd = (1.0f64 / 180.0).sqrt();
         assert!(
             z(
@@ -661,13 +663,13 @@ mod tests {
                 square_sd
             )
             .abs()
-                < 4.0
+                < limit
         );
         let product_sd = 1.0 / 12.0;
         for (dp, di, dd) in [(1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 0)] {
             let pairs = &mut (0..n).map(|i| draw(i, i, 2) * draw(i + dp, i + di, 2 + dd));
             assert!(
-                z(pairs, 0.0, product_sd).abs() < 4.0,
+                z(pairs, 0.0, product_sd).abs() < limit,
                 "offset {dp} {di} {dd}"
             );
         }

@@ -345,201 +345,221 @@ fn defaults_and_definitions() {
     );
 }
 
+/// Numbers and texts.
+const OF_VALUES: &[(&str, &str)] = &[
+    (
+        "<float name=\"a\" value=\"nan\"/>",
+        "<text>:2: `a`: expected a finite number, found `nan`",
+    ),
+    (
+        "\n<float name=\"a\"\n value=\"-inf\"/>",
+        "<text>:4: `a`: expected a finite number, found `-inf`",
+    ),
+    (
+        "<float name=\"toWorld\" value=\"1e39\"/>",
+        "<text>:2: `to_world`: expected a finite number, found `1e39`",
+    ),
+    (
+        "<integer name=\"a\" value=\"1.5\"/>",
+        "<text>:2: `a`: expected an integer, found `1.5`",
+    ),
+    (
+        "<boolean name=\"a\" value=\"yes\"/>",
+        "<text>:2: `a`: expected `true` or `false`, found `yes`",
+    ),
+    (
+        "<rgb name=\"a\" value=\"1, 2\"/>",
+        "<text>:2: `a`: expected one or three numbers, found `1, 2`",
+    ),
+    (
+        "<rgb name=\"a\" value=\"1, 2, x\"/>",
+        "<text>:2: `a`: expected a finite number, found `x`",
+    ),
+    (
+        "<point name=\"a\" x=\"1\" y=\"?\"/>",
+        "<text>:2: `a.y`: expected a finite number, found `?`",
+    ),
+    (
+        "<point name=\"a\"/>",
+        "<text>:2: <point> has no `value`: expected three numbers there, or some of `x`, `y` and `z`, found nothing",
+    ),
+    (
+        "<vector name=\"a\" value=\"1 2 3\" x=\"1\"/>",
+        "<text>:2: unknown attribute `x` of <vector>; known: name, value",
+    ),
+    (
+        "<float value=\"1\"/>",
+        "<text>:2: <float> has no `name`: expected an attribute, found nothing",
+    ),
+    (
+        "<float name=\"a\"/>",
+        "<text>:2: <float> has no `value`: expected an attribute, found nothing",
+    ),
+    (
+        "<float name=\"a\" value=\"1\" unit=\"m\"/>",
+        "<text>:2: unknown attribute `unit` of <float>; known: name, value",
+    ),
+    (
+        "<float name=\"a\" value=\"1\">\n<float/></float>",
+        "<text>:3: expected nothing inside <float>, found <float>",
+    ),
+    (
+        "<float name=\"a\" value=\"1\"/>\n<integer name=\"a\" value=\"1\"/>",
+        "<text>:3: attribute `a` is given twice, first at <text>:2",
+    ),
+    (
+        "<float name=\"a\" value=\"1\"/>\n<texture name=\"a\" type=\"bitmap\"/>",
+        "<text>:3: attribute `a` is given twice, first at <text>:2",
+    ),
+];
+
+/// Structure.
+const OF_STRUCTURE: &[(&str, &str)] = &[
+    (
+        "<bsdf type=\"diffuse\">\n\n  stray\n</bsdf>",
+        "<text>:4: expected an element, found the text `stray`",
+    ),
+    (
+        "<bsdf/>",
+        "<text>:2: <bsdf> has no `type`: expected an attribute, found nothing",
+    ),
+    (
+        "<bsdf type=\"diffuse\" color=\"1\"/>",
+        "<text>:2: unknown attribute `color` of <bsdf>; known: type, id, name",
+    ),
+    (
+        "<bdsf type=\"diffuse\"/>",
+        "<text>:2: expected one of the elements alias, blackbody, boolean, bsdf, default, emitter, \
+         film, float, include, integer, integrator, path, point, ref, rfilter, rgb, sampler, \
+         sensor, shape, spectrum, srgb, string, texture, transform, vector, found <bdsf>",
+    ),
+    (
+        "<bsdf type=\"mask\"></shape>",
+        "<text>:2: expected well-formed XML, found an error: expected 'bsdf' tag, not 'shape' \
+         at 2:19",
+    ),
+    (
+        "<bsdf type=\"mask\">\n",
+        "<text>:4: expected well-formed XML, found an error: expected 'bsdf' tag, not 'scene' \
+         at 4:1",
+    ),
+    (
+        "<!DOCTYPE scene []>",
+        "<text>:2: expected well-formed XML, found an error: unknown token at 2:1",
+    ),
+];
+
+/// Transforms.
+const OF_TRANSFORMS: &[(&str, &str)] = &[
+    (
+        "<transform name=\"t\">\n<shear x=\"1\"/></transform>",
+        "<text>:3: expected one of lookat, matrix, rotate, scale, translate, found <shear>",
+    ),
+    (
+        "<transform name=\"t\">\n<rotate x=\"1\"/></transform>",
+        "<text>:3: <rotate> has no `angle`: expected an attribute, found nothing",
+    ),
+    (
+        "<transform name=\"t\">\n<rotate x=\"0\" angle=\"1\"/></transform>",
+        "<text>:3: `t.rotate`: expected an axis, found the zero vector",
+    ),
+    (
+        "<transform name=\"t\"><lookat\norigin=\"0 0 0\" target=\"0 0\"/></transform>",
+        "<text>:3: `t.lookat.target`: expected three numbers, found `0 0`",
+    ),
+    (
+        "<transform name=\"t\"><lookat origin=\"1 0 0\" target=\"1 0 0\"/></transform>",
+        "<text>:2: `t.lookat`: expected a target away from the origin and not along `up`, \
+         found no view direction",
+    ),
+    (
+        "<transform name=\"t\"><matrix value=\"1 2 3\"/></transform>",
+        "<text>:2: `t.matrix`: expected 9 numbers, or 16 with last row 0 0 0 1, found `1 2 3`",
+    ),
+    (
+        "<transform name=\"t\"><scale z=\"0\"/></transform>",
+        "<text>:2: `t`: expected an invertible transform with finite entries, \
+         found one that is singular or overflows",
+    ),
+    (
+        "<transform name=\"t\"><scale value=\"1e30\"/><scale value=\"1e30\"/></transform>",
+        "<text>:2: `t`: expected an invertible transform with finite entries, \
+         found one that is singular or overflows",
+    ),
+    (
+        "<transform name=\"t\"><scale value=\"2\" by=\"3\"/></transform>",
+        "<text>:2: unknown attribute `by` of <scale>; known: value",
+    ),
+];
+
+/// Substitution.
+const OF_SUBSTITUTION: &[(&str, &str)] = &[
+    (
+        "<default name=\"size\" value=\"1\"/>\n<float name=\"a\" value=\"$sizes\"/>",
+        "<text>:3: `$sizes` is not defined; known: $size",
+    ),
+    (
+        "<float name=\"a\" value=\"$a\"/><default name=\"a\" value=\"1\"/>",
+        "<text>:2: `$a` is not defined; known: (none)",
+    ),
+    (
+        "<string name=\"a\" value=\"5$\"/>",
+        "<text>:2: `$` is not defined; known: (none)",
+    ),
+    (
+        "<default name=\"\" value=\"1\"/>",
+        "<text>:2: `default.name`: expected a name, found ``",
+    ),
+    (
+        "<default name=\"a\"/>",
+        "<text>:2: <default> has no `value`: expected an attribute, found nothing",
+    ),
+];
+
+/// References.
+const OF_REFERENCES: &[(&str, &str)] = &[
+    (
+        "<bsdf type=\"diffuse\" id=\"red\"/>\n<shape type=\"sphere\"><ref id=\"rde\"/></shape>",
+        "<text>:3: no element has the id `rde`; known: red",
+    ),
+    (
+        "<bsdf type=\"diffuse\" id=\"red\"/>\n<bsdf type=\"mask\" id=\"red\"/>",
+        "<text>:3: id `red` is given twice, first at <text>:2",
+    ),
+    (
+        "<bsdf type=\"twosided\" id=\"a\">\n<ref id=\"b\"/></bsdf>\n\
+         <bsdf type=\"twosided\" id=\"b\">\n<ref id=\"a\"/></bsdf>",
+        "<text>:5: bsdf at <text>:2 contains itself",
+    ),
+    (
+        "<bsdf type=\"twosided\" id=\"a\"><ref id=\"a\"/></bsdf>",
+        "<text>:2: bsdf at <text>:2 contains itself",
+    ),
+    (
+        "<ref name=\"a\"/>",
+        "<text>:2: <ref> has no `id`: expected an attribute, found nothing",
+    ),
+    (
+        "<alias id=\"a\" as=\"b\"/>",
+        "<text>:2: no element has the id `a`; known: (none)",
+    ),
+    (
+        "<bsdf type=\"mask\" id=\"a\"/>\n<alias id=\"a\" as=\"a\"/>",
+        "<text>:3: id `a` is given twice, first at <text>:2",
+    ),
+];
+
 /// Messages in full: file, line, what was expected, what was found.
 #[test]
 fn messages() {
     let cases = [
-        // Numbers and texts.
-        (
-            "<float name=\"a\" value=\"nan\"/>",
-            "<text>:2: `a`: expected a finite number, found `nan`",
-        ),
-        (
-            "\n<float name=\"a\"\n value=\"-inf\"/>",
-            "<text>:4: `a`: expected a finite number, found `-inf`",
-        ),
-        (
-            "<float name=\"toWorld\" value=\"1e39\"/>",
-            "<text>:2: `to_world`: expected a finite number, found `1e39`",
-        ),
-        (
-            "<integer name=\"a\" value=\"1.5\"/>",
-            "<text>:2: `a`: expected an integer, found `1.5`",
-        ),
-        (
-            "<boolean name=\"a\" value=\"yes\"/>",
-            "<text>:2: `a`: expected `true` or `false`, found `yes`",
-        ),
-        (
-            "<rgb name=\"a\" value=\"1, 2\"/>",
-            "<text>:2: `a`: expected one or three numbers, found `1, 2`",
-        ),
-        (
-            "<rgb name=\"a\" value=\"1, 2, x\"/>",
-            "<text>:2: `a`: expected a finite number, found `x`",
-        ),
-        (
-            "<point name=\"a\" x=\"1\" y=\"?\"/>",
-            "<text>:2: `a.y`: expected a finite number, found `?`",
-        ),
-        (
-            "<point name=\"a\"/>",
-            "<text>:2: <point> has no `value`: expected three numbers there, or some of `x`, `y` and `z`, found nothing",
-        ),
-        (
-            "<vector name=\"a\" value=\"1 2 3\" x=\"1\"/>",
-            "<text>:2: unknown attribute `x` of <vector>; known: name, value",
-        ),
-        (
-            "<float value=\"1\"/>",
-            "<text>:2: <float> has no `name`: expected an attribute, found nothing",
-        ),
-        (
-            "<float name=\"a\"/>",
-            "<text>:2: <float> has no `value`: expected an attribute, found nothing",
-        ),
-        (
-            "<float name=\"a\" value=\"1\" unit=\"m\"/>",
-            "<text>:2: unknown attribute `unit` of <float>; known: name, value",
-        ),
-        (
-            "<float name=\"a\" value=\"1\">\n<float/></float>",
-            "<text>:3: expected nothing inside <float>, found <float>",
-        ),
-        (
-            "<float name=\"a\" value=\"1\"/>\n<integer name=\"a\" value=\"1\"/>",
-            "<text>:3: attribute `a` is given twice, first at <text>:2",
-        ),
-        (
-            "<float name=\"a\" value=\"1\"/>\n<texture name=\"a\" type=\"bitmap\"/>",
-            "<text>:3: attribute `a` is given twice, first at <text>:2",
-        ),
-        // Structure.
-        (
-            "<bsdf type=\"diffuse\">\n\n  stray\n</bsdf>",
-            "<text>:4: expected an element, found the text `stray`",
-        ),
-        (
-            "<bsdf/>",
-            "<text>:2: <bsdf> has no `type`: expected an attribute, found nothing",
-        ),
-        (
-            "<bsdf type=\"diffuse\" color=\"1\"/>",
-            "<text>:2: unknown attribute `color` of <bsdf>; known: type, id, name",
-        ),
-        (
-            "<bdsf type=\"diffuse\"/>",
-            "<text>:2: expected one of the elements alias, blackbody, boolean, bsdf, default, emitter, \
-             film, float, include, integer, integrator, path, point, ref, rfilter, rgb, sampler, \
-             sensor, shape, spectrum, srgb, string, texture, transform, vector, found <bdsf>",
-        ),
-        (
-            "<bsdf type=\"mask\"></shape>",
-            "<text>:2: expected well-formed XML, found an error: expected 'bsdf' tag, not 'shape' \
-             at 2:19",
-        ),
-        (
-            "<bsdf type=\"mask\">\n",
-            "<text>:4: expected well-formed XML, found an error: expected 'bsdf' tag, not 'scene' \
-             at 4:1",
-        ),
-        (
-            "<!DOCTYPE scene []>",
-            "<text>:2: expected well-formed XML, found an error: unknown token at 2:1",
-        ),
-        // Transforms.
-        (
-            "<transform name=\"t\">\n<shear x=\"1\"/></transform>",
-            "<text>:3: expected one of lookat, matrix, rotate, scale, translate, found <shear>",
-        ),
-        (
-            "<transform name=\"t\">\n<rotate x=\"1\"/></transform>",
-            "<text>:3: <rotate> has no `angle`: expected an attribute, found nothing",
-        ),
-        (
-            "<transform name=\"t\">\n<rotate x=\"0\" angle=\"1\"/></transform>",
-            "<text>:3: `t.rotate`: expected an axis, found the zero vector",
-        ),
-        (
-            "<transform name=\"t\"><lookat\norigin=\"0 0 0\" target=\"0 0\"/></transform>",
-            "<text>:3: `t.lookat.target`: expected three numbers, found `0 0`",
-        ),
-        (
-            "<transform name=\"t\"><lookat origin=\"1 0 0\" target=\"1 0 0\"/></transform>",
-            "<text>:2: `t.lookat`: expected a target away from the origin and not along `up`, \
-             found no view direction",
-        ),
-        (
-            "<transform name=\"t\"><matrix value=\"1 2 3\"/></transform>",
-            "<text>:2: `t.matrix`: expected 9 numbers, or 16 with last row 0 0 0 1, found `1 2 3`",
-        ),
-        (
-            "<transform name=\"t\"><scale z=\"0\"/></transform>",
-            "<text>:2: `t`: expected an invertible transform with finite entries, \
-             found one that is singular or overflows",
-        ),
-        (
-            "<transform name=\"t\"><scale value=\"1e30\"/><scale value=\"1e30\"/></transform>",
-            "<text>:2: `t`: expected an invertible transform with finite entries, \
-             found one that is singular or overflows",
-        ),
-        (
-            "<transform name=\"t\"><scale value=\"2\" by=\"3\"/></transform>",
-            "<text>:2: unknown attribute `by` of <scale>; known: value",
-        ),
-        // Substitution.
-        (
-            "<default name=\"size\" value=\"1\"/>\n<float name=\"a\" value=\"$sizes\"/>",
-            "<text>:3: `$sizes` is not defined; known: $size",
-        ),
-        (
-            "<float name=\"a\" value=\"$a\"/><default name=\"a\" value=\"1\"/>",
-            "<text>:2: `$a` is not defined; known: (none)",
-        ),
-        (
-            "<string name=\"a\" value=\"5$\"/>",
-            "<text>:2: `$` is not defined; known: (none)",
-        ),
-        (
-            "<default name=\"\" value=\"1\"/>",
-            "<text>:2: `default.name`: expected a name, found ``",
-        ),
-        (
-            "<default name=\"a\"/>",
-            "<text>:2: <default> has no `value`: expected an attribute, found nothing",
-        ),
-        // References.
-        (
-            "<bsdf type=\"diffuse\" id=\"red\"/>\n<shape type=\"sphere\"><ref id=\"rde\"/></shape>",
-            "<text>:3: no element has the id `rde`; known: red",
-        ),
-        (
-            "<bsdf type=\"diffuse\" id=\"red\"/>\n<bsdf type=\"mask\" id=\"red\"/>",
-            "<text>:3: id `red` is given twice, first at <text>:2",
-        ),
-        (
-            "<bsdf type=\"twosided\" id=\"a\">\n<ref id=\"b\"/></bsdf>\n\
-             <bsdf type=\"twosided\" id=\"b\">\n<ref id=\"a\"/></bsdf>",
-            "<text>:5: bsdf at <text>:2 contains itself",
-        ),
-        (
-            "<bsdf type=\"twosided\" id=\"a\"><ref id=\"a\"/></bsdf>",
-            "<text>:2: bsdf at <text>:2 contains itself",
-        ),
-        (
-            "<ref name=\"a\"/>",
-            "<text>:2: <ref> has no `id`: expected an attribute, found nothing",
-        ),
-        (
-            "<alias id=\"a\" as=\"b\"/>",
-            "<text>:2: no element has the id `a`; known: (none)",
-        ),
-        (
-            "<bsdf type=\"mask\" id=\"a\"/>\n<alias id=\"a\" as=\"a\"/>",
-            "<text>:3: id `a` is given twice, first at <text>:2",
-        ),
+        OF_VALUES,
+        OF_STRUCTURE,
+        OF_TRANSFORMS,
+        OF_SUBSTITUTION,
+        OF_REFERENCES,
     ];
-    for (body, expected) in cases {
+    for (body, expected) in cases.concat() {
         assert_eq!(message(body), expected, "\nof {body}");
     }
 }

@@ -12,6 +12,7 @@ use render::math::Transform;
 use render::params::Theta;
 use render::scene::{Builder, LoadOptions, Outcome, Verdict};
 use render::shape::{Patch, Rectangle};
+use render::statistics::{Estimate, z_limit};
 use render::{Job, Scene, SceneError, Settings};
 
 use crate::common::{self, files_below, shared_dir};
@@ -929,7 +930,7 @@ const FILTERS: [&str; 8] = [
 ];
 
 /// Each pixel is the integral of filter times image, which quadrature gives, by samples of paths and by splats of
-/// particles: within five standard errors of 8 seeds. What is the same everywhere stays that.
+/// particles: 96 comparisons of 16 seeds each, significance 1 in 100 together. What is the same everywhere stays that.
 #[test]
 fn images_are_filtered() {
     for filter in FILTERS {
@@ -957,25 +958,24 @@ fn images_are_filtered() {
                 }
                 sum * h * h
             };
-            let seeds = 8;
+            let seeds = 16;
+            let limit = z_limit(96, seeds, 1e-2);
             let check = |name: &str, image: &dyn Fn(u64) -> render::Image| {
                 let images: Vec<_> = (0..seeds).map(image).collect();
                 for (px, py) in [(2, 2), (1, 1), (3, 2), (4, 3)] {
                     let all = images.iter().map(|i| f64::from(i.pixel(px, py)[0]));
-                    let mean = all.clone().sum::<f64>() / seeds as f64;
-                    let squares = all.map(|x| (x - mean).powi(2)).sum::<f64>();
-                    let error = (squares / (seeds * (seeds - 1)) as f64).sqrt();
+                    let Estimate { mean, se } = Estimate::of(&all.collect::<Vec<_>>());
                     let expected = exact(px, py);
                     // One percent for the quadrature of an edge.
-                    let most = 5.0 * error + 0.01;
+                    let most = limit * se + 0.01;
                     assert!(
                         (mean - expected).abs() < most,
-                        "{name}, {filter}, ({px}, {py}): {mean} +- {error}, not {expected}"
+                        "{name}, {filter}, ({px}, {py}): {mean} +- {se}, not {expected}"
                     );
                 }
             };
             if sky {
-                check("paths", &|seed| common::image_of_seed(&scene, seed, 1024));
+                check("paths", &|seed| common::image_of_seed(&scene, seed, 512));
                 let mut flat = filtered(filter, sky).unwrap();
                 let mut values = flat.params().values().to_vec();
                 let range = flat.params().find(LAMP).unwrap().range();
@@ -991,7 +991,7 @@ fn images_are_filtered() {
                     common::image_by_density(&scene, seed, 256)
                 });
                 check("particles", &|seed| {
-                    common::image_by_particles(&scene, seed, 1024)
+                    common::image_by_particles(&scene, seed, 512)
                 });
             }
         }

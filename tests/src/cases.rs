@@ -83,6 +83,14 @@ fn tilted(nested: &str) -> String {
 /// Every material and every emitter, except environment maps: those need files, which `attached_emitters.rs`,
 /// `auto.rs`, `estimator_matrix.rs` and `render/tests/emitters.rs` write.
 pub fn all() -> Vec<Case> {
+    let mut all = materials();
+    all.extend(emitters());
+    all.extend(brushed());
+    all.push(hidden_lamps());
+    all
+}
+
+fn materials() -> Vec<Case> {
     vec![
         material(
             "diffuse",
@@ -175,6 +183,11 @@ pub fn all() -> Vec<Case> {
             "normal map of metal",
             &tilted(r#"<bsdf type="roughconductor"><float name="alpha" value="0.3"/></bsdf>"#),
         ),
+    ]
+}
+
+fn emitters() -> Vec<Case> {
+    vec![
         emitter("area", AREA),
         emitter(
             "directional lobe",
@@ -216,6 +229,12 @@ pub fn all() -> Vec<Case> {
             "spot",
             r#"<emitter type="spot" id="lamp"><transform name="to_world"><lookat origin="1, 2.5, 1" target="0, 0, 0" up="0, 0, 1"/></transform><float name="cutoff_angle" value="35"/><rgb name="intensity" value="9, 8, 7"/></emitter>"#,
         ),
+    ]
+}
+
+/// Materials with a direction.
+fn brushed() -> Vec<Case> {
+    vec![
         material(
             "brushed metal",
             r#"<bsdf type="roughconductor"><string name="distribution" value="ggx"/><float name="alpha_u" value="0.35"/><float name="alpha_v" value="0.15"/><string name="material" value="Cu"/></bsdf>"#,
@@ -232,7 +251,6 @@ pub fn all() -> Vec<Case> {
             "brushed glass",
             r#"<bsdf type="roughdielectric"><float name="alpha_u" value="0.2"/><float name="alpha_v" value="0.4"/><float name="int_ior" value="1.5"/></bsdf>"#,
         ),
-        hidden_lamps(),
     ]
 }
 

@@ -24,6 +24,7 @@ mod house_rules;
 mod instancing;
 mod lenses;
 mod light;
+mod losses;
 mod manifold;
 #[cfg(not(debug_assertions))]
 mod manifold_energy;

@@ -55,6 +55,10 @@ fn functions_are_short() {
         "optim/src",
         "examples/src",
         "examples/figures/src",
+        "render/tests",
+        "examples/tests",
+        "tests/src",
+        "tests/tests",
     ] {
         for file in sources(&root.join(part)) {
             let text = std::fs::read_to_string(root.join(part).join(&file)).expect("source text");

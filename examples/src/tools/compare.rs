@@ -10,7 +10,8 @@ use render::check::{self, Span};
 use render::instances::{Direction, Estimator, Mode, forward_f64, render_f64};
 use render::integrator::render::{NonFinite, Progress, Rendering};
 use render::params::{ParamInfo, Theta};
-use render::{Image, RenderError, Scene, Settings, image_io, statistics};
+use render::statistics::{self, Estimate};
+use render::{Image, RenderError, Scene, Settings, image_io};
 use serde::Serialize;
 
 use crate::chart::{LineChart, Panel};
@@ -297,23 +298,30 @@ impl Series {
         }
     }
 
-    /// Mean over block `b`, and its error.
-    fn block(&self, b: usize) -> [f64; 2] {
+    /// Mean over block `b` of all repeats, and what chance does to it.
+    fn by_chance(&self, b: usize) -> Estimate {
         let values: Vec<f64> = self.blocks.iter().map(|r| r[b]).collect();
-        let [mean, error] = mean_and_error(&values);
-        [mean, error.hypot(self.systematic.0[b])]
+        Estimate::of(&values)
+    }
+
+    /// Mean over block `b`, and its error.
+    fn block(&self, b: usize) -> Estimate {
+        let Estimate { mean, se } = self.by_chance(b);
+        let se = se.hypot(self.systematic.0[b]);
+        Estimate { mean, se }
     }
 
     /// Mean over pixels and channels, and its error.
-    fn mean(&self) -> [f64; 2] {
-        let [mean, error] = mean_and_error(&self.means);
-        [mean, error.hypot(self.systematic.1)]
+    fn mean(&self) -> Estimate {
+        let Estimate { mean, se } = Estimate::of(&self.means);
+        let se = se.hypot(self.systematic.1);
+        Estimate { mean, se }
     }
 
     /// The block that differs most from another series, and how many standard errors that is.
     fn worst_block(&self, truth: &Self) -> (usize, f64) {
         (0..BLOCKS * BLOCKS)
-            .map(|b| (b, z(self.block(b), truth.block(b))))
+            .map(|b| (b, self.block(b).z(&truth.block(b))))
             .fold(
                 (0, 0.0f64),
                 |m, z| if z.1.abs() > m.1.abs() { z } else { m },
@@ -326,10 +334,7 @@ impl Series {
             let squares = (0..BLOCKS * BLOCKS).map(|b| of(b).powi(2));
             (squares.sum::<f64>() / (BLOCKS * BLOCKS) as f64).sqrt()
         };
-        let noise = |b: usize| {
-            let values: Vec<f64> = self.blocks.iter().map(|r| r[b]).collect();
-            mean_and_error(&values)[1]
-        };
+        let noise = |b: usize| self.by_chance(b).se;
         let fewer = (self.n as f64 / repeats as f64).sqrt();
         [rms(&|b| self.systematic.0[b]), rms(&noise) * fewer]
     }
@@ -337,11 +342,10 @@ impl Series {
     /// All means may be wrong by this part of themselves.
     fn doubt(&mut self, relative: f64) {
         for b in 0..BLOCKS * BLOCKS {
-            let [mean, _] = self.block(b);
-            self.systematic.0[b] = self.systematic.0[b].hypot(relative * mean);
+            let doubt = relative * self.block(b).mean;
+            self.systematic.0[b] = self.systematic.0[b].hypot(doubt);
         }
-        let [mean, _] = self.mean();
-        self.systematic.1 = self.systematic.1.hypot(relative * mean);
+        self.systematic.1 = self.systematic.1.hypot(relative * self.mean().mean);
     }
 
     fn image(&self) -> Vec<f64> {
@@ -354,19 +358,6 @@ impl Series {
         let of = |(s, q): (&f64, &f64)| ((q - s * s / n) / (n - 1.0)).max(0.0);
         self.sum.iter().zip(&self.squares).map(of).collect()
     }
-}
-
-fn mean_and_error(values: &[f64]) -> [f64; 2] {
-    let n = values.len() as f64;
-    let mean = values.iter().sum::<f64>() / n;
-    let variance = values.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / (n - 1.0);
-    [mean, (variance / n).sqrt()]
-}
-
-/// Difference of two estimates in standard errors.
-fn z(a: [f64; 2], b: [f64; 2]) -> f64 {
-    let d = a[0] - b[0];
-    if d == 0.0 { 0.0 } else { d / a[1].hypot(b[1]) }
 }
 
 /// Standard deviation image of one sample, mean over channels.
@@ -609,14 +600,14 @@ impl Run<'_> {
         Ok(again.map(|again| {
             let found = again.block(block);
             let truth = truth.block(block);
-            let z = z(found, truth);
+            let z = found.z(&truth);
             let again_so = z.abs() > z_limit && z * z_block > 0.0;
             // Where rare samples carry the variance, a block that has met none of them has an error that is too small;
             // those of all blocks know of them.
             let [_, noise] = again.errors(again.n);
-            let beyond_noise = (found[0] - truth[0]).abs() > z_limit * noise;
+            let beyond_noise = (found.mean - truth.mean).abs() > z_limit * noise;
             // Without any spread it has seen nothing there.
-            if again_so && beyond_noise && found[1] > 0.0 {
+            if again_so && beyond_noise && found.se > 0.0 {
                 Finding::Biased
             } else {
                 Finding::Unresolved
@@ -815,8 +806,8 @@ fn row(
     Row {
         param: param.into(),
         estimator: e.name(),
-        mean,
-        z: z(mean, truth.mean()),
+        mean: [mean.mean, mean.se],
+        z: mean.z(&truth.mean()),
         z_block: series.worst_block(truth).1,
         finding,
         variance,
@@ -1014,17 +1005,4 @@ fn write_images(
     let path = out.join(format!("{name}.std.png"));
     let png = crate::chart::grid(columns, &panels).map_err(|e| ToolError::file(&path, e))?;
     Ok(image_io::write_atomically(&path, &png)?)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn errors_by_hand() {
-        let [mean, error] = mean_and_error(&[1.0, 2.0, 6.0]);
-        assert_eq!(mean, 3.0);
-        assert!((error - (7.0f64 / 3.0).sqrt()).abs() < 1e-15);
-        assert_eq!(z([1.0, 0.0], [1.0, 0.0]), 0.0);
-    }
 }

@@ -50,6 +50,17 @@ tell: the noise of --spp and --repeats, or what the step changes, is too large f
 --param: all parameters that the estimator sees. With --loss the adjoint image is held fixed: what noise does to
 a loss is not judged.";
 
+/// The help of `--estimator`.
+fn estimators() -> String {
+    let of_use = Estimator::ALL.iter().filter(|e| !e.capabilities().study);
+    let names: Vec<&str> = of_use.map(|e| e.name()).collect();
+    format!(
+        "Where derivatives flow: {}; `--list-estimators` says what each does and refuses. Or auto: pilots choose and mix, for the \
+         work of as many samples of mis",
+        names.join(", ")
+    )
+}
+
 /// Differentiates an image of a scene, in reverse mode
 #[derive(Parser, Clone, Debug)]
 #[command(name = "gradient", after_help = EXAMPLES)]
@@ -71,10 +82,8 @@ pub struct Args {
     /// Scene options
     #[command(flatten)]
     pub load: LoadArgs,
-    /// Where derivatives flow: mis (detached sampling of BSDF and lights), emitter, detached, attached,
-    /// reparameterised, differential, and their combinations; `--list-estimators` shows all. Or auto: pilots
-    /// choose and mix, for the work of as many samples of mis
-    #[arg(long, value_name = "NAME", default_value = "mis", value_parser = cli::estimator)]
+    /// Where derivatives flow
+    #[arg(long, value_name = "NAME", default_value = "mis", value_parser = cli::estimator, help = estimators())]
     pub estimator: Choice,
     /// Samples per pixel and repeat [default: the scene's]
     #[arg(long, value_name = "N", value_parser = sample_count())]

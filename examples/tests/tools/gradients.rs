@@ -3,6 +3,7 @@
 use render::Image;
 use render::image_io::read_rgb as read_exr;
 use render::image_io::write_exr;
+use render::statistics::z_limit;
 
 use crate::{Folder, LAMP, SCENE, WALL, back_to_back, bytes, keys, numbers, samples};
 
@@ -191,8 +192,10 @@ fn gradient_of_a_loss_is_unbiased() {
     let (gradient, error) = (numbers(&wall["gradient"]), numbers(&wall["std_error"]));
     for c in 0..3 {
         let z = gradient[c] / error[c];
-        // The t distribution with 63 degrees of freedom.
-        assert!(z.abs() < 3.8, "channel {c}: {z} standard errors from zero");
+        assert!(
+            z.abs() < z_limit(3, 64, 1e-3),
+            "channel {c}: {z} standard errors from zero"
+        );
     }
 }
 

@@ -1,8 +1,8 @@
 //! Eight-wide hierarchy: built as a binary one (`cluster`), widened and traversed here.
 //!
-//! Its planes are single precision numbers, not compressed ones: unpacking took a third of a node's test. A leaf is a
-//! block of up to eight flat primitives, tested in the time of one, or a curved one. The slabs are wider than
-//! the rounding of any primitive test, so that a hit never depends on the shape of the tree.
+//! Its planes are single precision numbers, not compressed ones, which would have to be unpacked in every test of a
+//! node. A leaf is a block of up to eight flat primitives, tested in the time of one, or a curved one. The slabs are
+//! wider than the rounding of any primitive test, so that a hit never depends on the shape of the tree.
 
 use super::cluster::{children, hierarchy, parts};
 use super::curved::{Curved, Line};

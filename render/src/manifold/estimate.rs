@@ -79,6 +79,7 @@ impl<'c> Asking<'c> {
 mod tests {
     use super::*;
     use crate::sampler::{Independent, Sampler};
+    use crate::statistics::z_limit;
 
     /// Draws solution `k` with the probability `p[k]`, or nothing.
     fn draw(s: &mut Independent, p: &[f64]) -> Option<usize> {
@@ -112,12 +113,13 @@ mod tests {
         (mean, squares / n as f64 - mean * mean)
     }
 
-    /// Trials have mean 1 / P and variance (1 - P) / P^2 (F12), 200 000 of each, within five standard errors; a budget gives
-    /// (1 - (1 - P)^budget) / P (F13).
+    /// Trials have mean 1 / P and variance (1 - P) / P^2 (F12), 200 000 of each; a budget gives (1 - (1 - P)^budget) / P (F13).
+    /// Twelve tests of means, significance 1 in 1000 together.
     #[test]
     #[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
     fn trials_are_geometric() {
         let n = 200_000;
+        let limit = z_limit(12, n, 1e-3);
         for p in [0.5, 0.1, 0.02] {
             let count = |budget: u32| {
                 moments(n, |i| {
@@ -128,14 +130,14 @@ mod tests {
             let (mean, variance) = count(u32::MAX);
             let expected = (1.0 - p) / (p * p);
             assert!(
-                (mean - 1.0 / p).abs() < 5.0 * (expected / n as f64).sqrt(),
+                (mean - 1.0 / p).abs() < limit * (expected / n as f64).sqrt(),
                 "{p}: {mean}"
             );
             assert!((variance / expected - 1.0).abs() < 0.05, "{p}: {variance}");
             for budget in [8, 32, 128] {
                 let (mean, variance) = count(budget);
                 let expected = (1.0 - (1.0 - p).powi(budget as i32)) / p;
-                let error = 5.0 * (variance / n as f64).sqrt();
+                let error = limit * (variance / n as f64).sqrt();
                 assert!(
                     (mean - expected).abs() < error,
                     "{p} {budget}: {mean} {expected}"
@@ -145,11 +147,12 @@ mod tests {
     }
 
     /// A mirror with two solutions: the mean is the sum of both, 400 000 estimates; merging them loses most of it (F14), as does
-    /// the reciprocal of a mean of 8 trials or a budget.
+    /// a budget. Two tests, significance 1 in 1000 together.
     #[test]
     #[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
     fn two_solutions_add_up() {
         let (p, f, n) = ([0.3, 0.1], [1.0, 5.0], 400_000);
+        let limit = z_limit(2, n, 1e-3);
         let run = |budget| {
             let (mean, variance) = moments(n, |i| {
                 unbiased(&mut Independent::new(3, 0, i), &p, &f, budget).0
@@ -158,13 +161,13 @@ mod tests {
         };
         let (mean, error) = run(u32::MAX);
         assert!(
-            (mean - 6.0).abs() < 5.0 * error && error < 0.05,
+            (mean - 6.0).abs() < limit * error && error < 0.05,
             "{mean} {error}"
         );
         let (mean, error) = run(4);
         let expected: f64 = (0..2).map(|k| f[k] * (1.0 - (1.0f64 - p[k]).powi(4))).sum();
         assert!(
-            (mean - expected).abs() < 5.0 * error && expected < 3.0,
+            (mean - expected).abs() < limit * error && expected < 3.0,
             "{mean} {expected}"
         );
         // What finds itself in either of two: the value of whichever came first, over the probability of both.
@@ -186,14 +189,15 @@ mod tests {
     }
 
     /// The sum over the distinct solutions of M walks is that of f (1 - (1 - P)^M): the table of errata Z-3.18, 40 000
-    /// estimates of each, and grows with M (F16).
+    /// estimates of each, and grows with M (F16). Five tests, significance 1 in 1000 together.
     #[test]
     #[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
     fn what_trial_sets_miss_is_known() {
         let (p, f) = ([0.5, 0.2, 0.05, 0.01], [1.0, 2.0, 3.0, 4.0]);
         let table = [(1, 1.09), (4, 2.83), (16, 5.22), (64, 7.79), (256, 9.69)];
+        let n = 40_000;
+        let limit = z_limit(5, n, 1e-3);
         for (m, expected) in table {
-            let n = 40_000;
             let (mean, variance) = moments(n, |i| {
                 let mut s = Independent::new(6, u64::from(m), i);
                 let found = distinct(m, || draw(&mut s, &p), |a, b| a == b);
@@ -203,7 +207,7 @@ mod tests {
                 .map(|k| f[k] * (1.0 - (1.0f64 - p[k]).powi(m as i32)))
                 .sum();
             assert!((exact - expected).abs() < 0.01, "{m}: {exact}");
-            let error = 5.0 * (variance / n as f64).sqrt();
+            let error = limit * (variance / n as f64).sqrt();
             assert!((mean - exact).abs() < error, "{m}: {mean} {exact}");
         }
     }

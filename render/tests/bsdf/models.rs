@@ -401,205 +401,207 @@ fn refracted_radiance_is_scaled() {
 
 // ---- Descriptions -------------------------------------------------------------------------------
 
+/// Plugins, what is wrong inside them, and what the message has to name.
+const MISTAKES: &[(&str, &str, &str)] = &[
+    (
+        "roughconductor",
+        r#"<float name="alpha" value="-1e-5"/>"#,
+        "alpha",
+    ),
+    (
+        "roughconductor",
+        r#"<float name="alpha" value="1.5"/>"#,
+        "alpha",
+    ),
+    (
+        "roughconductor",
+        r#"<string name="distribution" value="phong"/>"#,
+        "distribution",
+    ),
+    (
+        "conductor",
+        r#"<string name="material" value="Unobtainium"/>"#,
+        "material",
+    ),
+    (
+        "conductor",
+        r#"<string name="material" value="Au"/><rgb name="k" value="1"/>"#,
+        "material",
+    ),
+    (
+        "dielectric",
+        r#"<float name="int_ior" value="-1"/>"#,
+        "int_ior",
+    ),
+    (
+        "dielectric",
+        r#"<string name="int_ior" value="plutonium"/>"#,
+        "int_ior",
+    ),
+    (
+        "roughdielectric",
+        r#"<float name="int_ior" value="1"/><float name="ext_ior" value="1"/>"#,
+        "int_ior",
+    ),
+    (
+        "conductor",
+        r#"<rgb name="specular_reflectance" value="1.1"/>"#,
+        "specular_reflectance",
+    ),
+    (
+        "roughconductor",
+        r#"<float name="roughness" value=".1"/>"#,
+        "roughness",
+    ),
+    (
+        "thindielectric",
+        r#"<float name="int_ior" value="30"/>"#,
+        "int_ior",
+    ),
+    ("null", r#"<float name="opacity" value=".1"/>"#, "opacity"),
+    (
+        "mask",
+        r#"<rgb name="opacity" value="2"/><bsdf type="diffuse"/>"#,
+        "opacity",
+    ),
+    ("polarizer", "", "polarisation is not there"),
+    ("ward", "", "that Mitsuba 3 has no more is not there"),
+    ("coating", "", "layers over other materials are not there"),
+    (
+        "principled",
+        r#"<float name="spec_trans" value="1.1"/>"#,
+        "spec_trans",
+    ),
+    (
+        "principled",
+        r#"<float name="spec_trans" value=".1"/><float name="specular" value="0"/>"#,
+        "specular",
+    ),
+    (
+        "twosided",
+        r#"<bsdf type="principled"><float name="spec_trans" value=".1"/></bsdf>"#,
+        "principled",
+    ),
+    (
+        "principled",
+        r#"<float name="anisotropic" value="1.1"/>"#,
+        "anisotropic",
+    ),
+    (
+        "principled",
+        r#"<float name="spec_tint" value="-.1"/>"#,
+        "spec_tint",
+    ),
+    (
+        "principled",
+        r#"<float name="sheen" value=".1"/><float name="sheen_tint" value="1.1"/>"#,
+        "sheen_tint",
+    ),
+    (
+        "principled",
+        r#"<float name="eta" value="1.5"/><float name="specular" value=".1"/>"#,
+        "specular",
+    ),
+    (
+        "twosided",
+        r#"<bsdf type="principledthin"/>"#,
+        "principledthin",
+    ),
+    (
+        "principledthin",
+        r#"<float name="diff_trans" value="2.1"/>"#,
+        "diff_trans",
+    ),
+    (
+        "principledthin",
+        r#"<float name="spec_trans" value="1"/><float name="eta" value="0.9"/>"#,
+        "eta",
+    ),
+    (
+        "principledthin",
+        r#"<float name="metallic" value="0.1"/>"#,
+        "metallic",
+    ),
+    (
+        "dielectric",
+        r#"<float name="ext_ior" value="0.01"/>"#,
+        "`ext_ior`: expected an index inside between",
+    ),
+    (
+        "roughplastic",
+        r#"<float name="ext_ior" value="2"/>"#,
+        "`ext_ior`: expected a rough coat denser",
+    ),
+    (
+        "diffuse",
+        r#"<bsdf name="reflectance" type="conductor"/>"#,
+        "`reflectance`: expected a texture, a colour or a number, found bsdf `conductor`",
+    ),
+    ("principled", r#"<float name="eta" value="1"/>"#, "eta"),
+    (
+        "principled",
+        r#"<float name="roughness" value="1.5"/>"#,
+        "roughness",
+    ),
+    (
+        "roughplastic",
+        r#"<float name="alpha_u" value=".1"/><float name="alpha_v" value=".2"/>"#,
+        "anisotropic roughness is not there",
+    ),
+    (
+        "roughconductor",
+        r#"<float name="alpha_u" value=".1"/>"#,
+        "`alpha_v`",
+    ),
+    (
+        "roughconductor",
+        r#"<float name="alpha_u" value=".1"/><float name="alpha_v" value="2"/>"#,
+        "alpha_v",
+    ),
+    (
+        "roughdielectric",
+        r#"<float name="alpha_u" value=".1"/><float name="alpha" value=".2"/>"#,
+        "alpha",
+    ),
+    (
+        "hair",
+        r#"<rgb name="sigma_a" value="1"/><float name="pheomelanin" value="1"/>"#,
+        "`pheomelanin`: expected none beside `sigma_a`",
+    ),
+    (
+        "hair",
+        r#"<float name="longitudinal_roughness" value="0"/>"#,
+        "longitudinal_roughness",
+    ),
+    (
+        "hair",
+        r#"<float name="azimuthal_roughness" value="1.1"/>"#,
+        "azimuthal_roughness",
+    ),
+    (
+        "hair",
+        r#"<float name="eumelanin" value="-1"/>"#,
+        "eumelanin",
+    ),
+    (
+        "hair",
+        r#"<float name="scale_tilt" value="91"/>"#,
+        "scale_tilt",
+    ),
+    (
+        "hair",
+        r#"<float name="ext_ior" value="1.6"/>"#,
+        "`ext_ior`: expected a fibre denser",
+    ),
+    ("twosided", r#"<bsdf type="hair"/>"#, "hair"),
+    ("irawan", "", "threads"),
+    ("roughconductor_heitz", "", "facets"),
+];
+
 /// Mistakes are errors that name the key, not clamps.
 #[test]
 fn bad_descriptions_are_errors() {
-    let bad = [
-        (
-            "roughconductor",
-            r#"<float name="alpha" value="-1e-5"/>"#,
-            "alpha",
-        ),
-        (
-            "roughconductor",
-            r#"<float name="alpha" value="1.5"/>"#,
-            "alpha",
-        ),
-        (
-            "roughconductor",
-            r#"<string name="distribution" value="phong"/>"#,
-            "distribution",
-        ),
-        (
-            "conductor",
-            r#"<string name="material" value="Unobtainium"/>"#,
-            "material",
-        ),
-        (
-            "conductor",
-            r#"<string name="material" value="Au"/><rgb name="k" value="1"/>"#,
-            "material",
-        ),
-        (
-            "dielectric",
-            r#"<float name="int_ior" value="-1"/>"#,
-            "int_ior",
-        ),
-        (
-            "dielectric",
-            r#"<string name="int_ior" value="plutonium"/>"#,
-            "int_ior",
-        ),
-        (
-            "roughdielectric",
-            r#"<float name="int_ior" value="1"/><float name="ext_ior" value="1"/>"#,
-            "int_ior",
-        ),
-        (
-            "conductor",
-            r#"<rgb name="specular_reflectance" value="1.1"/>"#,
-            "specular_reflectance",
-        ),
-        (
-            "roughconductor",
-            r#"<float name="roughness" value=".1"/>"#,
-            "roughness",
-        ),
-        (
-            "thindielectric",
-            r#"<float name="int_ior" value="30"/>"#,
-            "int_ior",
-        ),
-        ("null", r#"<float name="opacity" value=".1"/>"#, "opacity"),
-        (
-            "mask",
-            r#"<rgb name="opacity" value="2"/><bsdf type="diffuse"/>"#,
-            "opacity",
-        ),
-        ("polarizer", "", "polarisation is not there"),
-        ("ward", "", "that Mitsuba 3 has no more is not there"),
-        ("coating", "", "layers over other materials are not there"),
-        (
-            "principled",
-            r#"<float name="spec_trans" value="1.1"/>"#,
-            "spec_trans",
-        ),
-        (
-            "principled",
-            r#"<float name="spec_trans" value=".1"/><float name="specular" value="0"/>"#,
-            "specular",
-        ),
-        (
-            "twosided",
-            r#"<bsdf type="principled"><float name="spec_trans" value=".1"/></bsdf>"#,
-            "principled",
-        ),
-        (
-            "principled",
-            r#"<float name="anisotropic" value="1.1"/>"#,
-            "anisotropic",
-        ),
-        (
-            "principled",
-            r#"<float name="spec_tint" value="-.1"/>"#,
-            "spec_tint",
-        ),
-        (
-            "principled",
-            r#"<float name="sheen" value=".1"/><float name="sheen_tint" value="1.1"/>"#,
-            "sheen_tint",
-        ),
-        (
-            "principled",
-            r#"<float name="eta" value="1.5"/><float name="specular" value=".1"/>"#,
-            "specular",
-        ),
-        (
-            "twosided",
-            r#"<bsdf type="principledthin"/>"#,
-            "principledthin",
-        ),
-        (
-            "principledthin",
-            r#"<float name="diff_trans" value="2.1"/>"#,
-            "diff_trans",
-        ),
-        (
-            "principledthin",
-            r#"<float name="spec_trans" value="1"/><float name="eta" value="0.9"/>"#,
-            "eta",
-        ),
-        (
-            "principledthin",
-            r#"<float name="metallic" value="0.1"/>"#,
-            "metallic",
-        ),
-        (
-            "dielectric",
-            r#"<float name="ext_ior" value="0.01"/>"#,
-            "`ext_ior`: expected an index inside between",
-        ),
-        (
-            "roughplastic",
-            r#"<float name="ext_ior" value="2"/>"#,
-            "`ext_ior`: expected a rough coat denser",
-        ),
-        (
-            "diffuse",
-            r#"<bsdf name="reflectance" type="conductor"/>"#,
-            "`reflectance`: expected a texture, a colour or a number, found bsdf `conductor`",
-        ),
-        ("principled", r#"<float name="eta" value="1"/>"#, "eta"),
-        (
-            "principled",
-            r#"<float name="roughness" value="1.5"/>"#,
-            "roughness",
-        ),
-        (
-            "roughplastic",
-            r#"<float name="alpha_u" value=".1"/><float name="alpha_v" value=".2"/>"#,
-            "anisotropic roughness is not there",
-        ),
-        (
-            "roughconductor",
-            r#"<float name="alpha_u" value=".1"/>"#,
-            "`alpha_v`",
-        ),
-        (
-            "roughconductor",
-            r#"<float name="alpha_u" value=".1"/><float name="alpha_v" value="2"/>"#,
-            "alpha_v",
-        ),
-        (
-            "roughdielectric",
-            r#"<float name="alpha_u" value=".1"/><float name="alpha" value=".2"/>"#,
-            "alpha",
-        ),
-        (
-            "hair",
-            r#"<rgb name="sigma_a" value="1"/><float name="pheomelanin" value="1"/>"#,
-            "`pheomelanin`: expected none beside `sigma_a`",
-        ),
-        (
-            "hair",
-            r#"<float name="longitudinal_roughness" value="0"/>"#,
-            "longitudinal_roughness",
-        ),
-        (
-            "hair",
-            r#"<float name="azimuthal_roughness" value="1.1"/>"#,
-            "azimuthal_roughness",
-        ),
-        (
-            "hair",
-            r#"<float name="eumelanin" value="-1"/>"#,
-            "eumelanin",
-        ),
-        (
-            "hair",
-            r#"<float name="scale_tilt" value="91"/>"#,
-            "scale_tilt",
-        ),
-        (
-            "hair",
-            r#"<float name="ext_ior" value="1.6"/>"#,
-            "`ext_ior`: expected a fibre denser",
-        ),
-        ("twosided", r#"<bsdf type="hair"/>"#, "hair"),
-        ("irawan", "", "threads"),
-        ("roughconductor_heitz", "", "facets"),
-    ];
-    for (plugin, content, key) in bad {
+    for (plugin, content, key) in MISTAKES {
         let built = build(plugin, content).map(|_| ());
         let error = built.expect_err(&format!("{plugin} {content}"));
         assert!(error.to_string().contains(key), "{plugin}: {error}");

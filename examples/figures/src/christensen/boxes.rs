@@ -8,6 +8,7 @@ use std::time::Instant;
 use render::bsdf::Material;
 use render::emitter::Area;
 use render::finite_element::{FiniteElements, Options, Statistics};
+use render::statistics::Estimate;
 use render::{Image, Scene};
 
 use examples::figure::Result;
@@ -313,12 +314,11 @@ pub fn noiseless_difference(a: &Image, references: [&Image; 2], mask: &[bool]) -
         pixels.push(product);
     }
     let n = pixels.len() as f64;
-    let mean = pixels.iter().sum::<f64>() / n;
-    let variance = pixels.iter().map(|p| (p - mean).powi(2)).sum::<f64>() / (n - 1.0);
+    let found = Estimate::of(&pixels);
     let relative = |mean: f64| (mean.max(0.0) * n / square).sqrt();
     Off {
-        rms: relative(mean),
-        most: relative(mean + 2.0 * (variance / n).sqrt()),
+        rms: relative(found.mean),
+        most: relative(found.mean + 2.0 * found.se),
     }
 }
 

@@ -6,10 +6,11 @@ use render::integrator::render::Rendering;
 use render::sampler::Points;
 use render::scene::Caustics;
 use render::shape::Cylinder;
+use render::statistics::Estimate;
 use render::{RenderError, Scene, Settings};
 
 use super::two_ways::{noise_over_time, panels, series};
-use crate::statistics::{Estimate, check_same, gradients};
+use crate::statistics::{check_same, gradients};
 use examples::chart::LineChart;
 use examples::figure::{Figure, Result};
 use examples::scene_builder::{SceneBuilder, View};
@@ -159,7 +160,7 @@ fn clock(fig: &mut Figure) -> Result {
             for &spp in &ladder {
                 let (found, seconds) = derivatives(&scene, e, caustics, spp, runs)?;
                 for ((line, g), (_, what)) in lines.iter_mut().zip(&found).zip(PARAMS) {
-                    let deviation = g.error * (runs as f64).sqrt();
+                    let deviation = g.se * (runs as f64).sqrt();
                     line.push((seconds, deviation));
                     rows.push([
                         name.to_owned(),
@@ -207,7 +208,7 @@ fn sweeps(fig: &mut Figure) -> Result {
         let e = Estimator::DifferentialMis;
         let (paths, before) = derivatives(&scene, e, Caustics::Paths, spp, runs)?;
         let (particles, after) = derivatives(&scene, e, Caustics::Particles, spp, runs)?;
-        let gain = |k: usize| (paths[k].error / particles[k].error).powi(2);
+        let gain = |k: usize| (paths[k].se / particles[k].se).powi(2);
         let gains = [gain(0), gain(1), gain(2)];
         rows.push([alpha, fov, gains[0], gains[1], gains[2], after / before]);
         Ok(gains)

@@ -8,10 +8,11 @@ use render::instances::{Direction, Estimator};
 use render::integrator::render::Rendering;
 use render::sampler::Points;
 use render::shape::Mesh;
+use render::statistics::z_limit;
 use render::{RenderError, Scene, Settings};
 
 use super::two_ways::{noise_over_time, panels, series};
-use crate::statistics::{check_same, gradients, limit};
+use crate::statistics::{check_same, gradients};
 use crate::veach::pool::{water, waves};
 use examples::figure::{Figure, Result};
 use examples::scene_builder::{SceneBuilder, View};
@@ -146,7 +147,7 @@ fn clock(fig: &mut Figure) -> Result {
             let (found, seconds) =
                 gradients(&scene, E, &settings(&scene), &names, SEED, spp, runs)?;
             for ((line, g), (_, what)) in lines.iter_mut().zip(&found).zip(PARAMS) {
-                let deviation = g.error * (runs as f64).sqrt();
+                let deviation = g.se * (runs as f64).sqrt();
                 line[way].push((seconds + learning, deviation));
                 rows.push([
                     name.to_owned(),
@@ -203,11 +204,11 @@ fn room(fig: &mut Figure) -> Result {
     let (plain, before) = gradients(&scene, E, &settings(&scene), &names, SEED, spp, runs)?;
     learn(&mut scene)?;
     let (guided, after) = gradients(&scene, E, &settings(&scene), &names, SEED, spp, runs)?;
-    let (gain, time) = ((plain[0].error / guided[0].error).powi(2), after / before);
+    let (gain, time) = ((plain[0].se / guided[0].se).powi(2), after / before);
     let z = plain[0].z(&guided[0]).abs();
     fig.check(
         "(d) in a room whose lamp is in sight: the same derivative in a wall's albedo",
-        z < limit(1, runs, LEVEL),
+        z < z_limit(1, runs, LEVEL),
         format!(
             "|z| {z:.2}; variance {gain:.2} times less, for {time:.2} times the time of a pass"
         ),

@@ -7,9 +7,10 @@ use render::Job;
 use render::auto;
 use render::instances::{Estimator, render_f32};
 use render::params::Theta;
+use render::statistics::{Estimate, z_limit};
 
 use super::auto_estimator::{Subject, subjects};
-use crate::statistics::{Estimate, limit, per_pixel};
+use crate::statistics::per_pixel;
 use examples::chart::{LineChart, Panel};
 use examples::figure::{Figure, Result};
 use examples::ranks::median;
@@ -66,7 +67,7 @@ impl Passes {
     /// The variance of each parameter, summed over its values.
     fn variances(&self) -> Vec<f64> {
         let values = per_pixel(&self.scaled);
-        let mut rest = values.iter().map(|e| e.error * e.error);
+        let mut rest = values.iter().map(|e| e.se * e.se);
         let of = |&n: &usize| rest.by_ref().take(n).sum();
         self.lengths.iter().map(of).collect()
     }
@@ -83,7 +84,8 @@ impl Passes {
 
     /// The sum of all derivatives: the derivative along all parameters at once.
     fn sum(&self) -> Estimate {
-        Estimate::of(self.scaled.iter().map(|g| g.iter().sum()))
+        let sums: Vec<f64> = self.scaled.iter().map(|g| g.iter().sum()).collect();
+        Estimate::of(&sums)
     }
 }
 
@@ -119,7 +121,7 @@ pub fn figure(fig: &mut Figure) -> Result {
     fig.note("seed", SEED);
     let mut all = subjects(fig.quick())?;
     let cases = all.len() * ESTIMATORS.len();
-    let most = limit(cases, runs, 1e-3);
+    let most = z_limit(cases, runs, 1e-3);
     let mut worst_z = 0.0f64;
     let mut gains: Vec<(f64, f64, String)> = Vec::new();
     let mut series = ESTIMATORS.map(|e| (e.name(), Vec::new()));

@@ -6,10 +6,10 @@ use std::time::Instant;
 use render::instances::{Estimator, render_f64};
 use render::params::Theta;
 use render::shape::{Mesh, MeshData};
+use render::statistics::{Estimate, z_limit};
 use render::{Job, Scene};
 
 use crate::common_scenes::{below_lamp, lamp_above_floor};
-use crate::statistics::{Estimate, limit};
 use examples::chart::LineChart;
 use examples::figure::{Figure, Result};
 use examples::ranks::median;
@@ -115,7 +115,7 @@ impl Point {
         }
         Ok(Self {
             seconds: median(&seconds).ok_or("no runs")?,
-            found: Estimate::of(values.iter().copied()),
+            found: Estimate::of(&values),
             values,
         })
     }
@@ -164,14 +164,14 @@ pub fn figure(fig: &mut Figure) -> Result {
             ways.push((way, points));
         }
         let last = |w: usize| &ways[w].1[ladder.len() - 1];
-        let z_limit = limit(2 * CASES.len(), RUNS, LEVEL);
+        let limit = z_limit(2 * CASES.len(), RUNS, LEVEL);
         for (w, allowed) in [(0, 0.01), (1, if name == "few" { 0.02 } else { 0.05 })] {
             let found = last(w).found;
             let off = (found.mean - truth.mean).abs() - allowed * truth.mean.abs();
-            let error = found.error.hypot(truth.error);
+            let error = found.se.hypot(truth.se);
             let text = format!(
                 "{:.5} +- {:.5}, differences {:.5} +- {:.5}",
-                found.mean, found.error, truth.mean, truth.error
+                found.mean, found.se, truth.mean, truth.se
             );
             if name == "microscopic" && w == 1 {
                 fig.note(
@@ -182,7 +182,7 @@ pub fn figure(fig: &mut Figure) -> Result {
             }
             fig.check(
                 format!("{name}: {} agree with differences", ways[w].0),
-                off < z_limit * error,
+                off < limit * error,
                 text,
             );
         }
@@ -204,7 +204,7 @@ pub fn figure(fig: &mut Figure) -> Result {
                     p.seconds.to_string(),
                     p.error(truth.mean).to_string(),
                     p.found.mean.to_string(),
-                    p.found.error.to_string(),
+                    p.found.se.to_string(),
                 ]);
             }
         }

@@ -5,17 +5,22 @@ use std::f64::consts::TAU;
 use render::bsdf::{BlinnPhongLobe, BlinnPhongSampling};
 use render::math::Rgb;
 use render::sampler::{Independent, Sampler};
+use render::statistics::{Estimate, sidak, z_limit};
 
 use super::printed;
-use crate::statistics::deviate;
+use crate::statistics::ChiSquare;
 use examples::chart::LineChart;
 use examples::figure::{Figure, Result};
 
 /// Cells of the chi-square test: in `cos^(e+2)` (uniform if the density is right) and in azimuth.
 const CELLS: [usize; 2] = [32, 16];
 
-/// Chi-square deviate and mean cosine of `n` normals.
-fn test(n: u64, exponent: f64, mut normal: impl FnMut(u64) -> [f64; 3]) -> (f64, f64, Vec<f64>) {
+/// Chi-square test, mean cosine and density of the cosine of `n` normals.
+fn test(
+    n: u64,
+    exponent: f64,
+    mut normal: impl FnMut(u64) -> [f64; 3],
+) -> (ChiSquare, f64, Vec<f64>) {
     let mut counts = vec![0.0; CELLS[0] * CELLS[1]];
     let mut mean = 0.0;
     let mut cosines = vec![0.0; 64];
@@ -29,11 +34,8 @@ fn test(n: u64, exponent: f64, mut normal: impl FnMut(u64) -> [f64; 3]) -> (f64,
         mean += z / n as f64;
     }
     let expected = n as f64 / counts.len() as f64;
-    let statistic: f64 = counts
-        .iter()
-        .map(|c| (c - expected).powi(2) / expected)
-        .sum();
-    (deviate(statistic, counts.len() as f64 - 1.0), mean, cosines)
+    let bins: Vec<_> = counts.iter().map(|c| (*c, expected)).collect();
+    (ChiSquare::of(&bins), mean, cosines)
 }
 
 /// `stam-alg-b`.
@@ -44,15 +46,18 @@ pub fn figure(fig: &mut Figure) -> Result {
     fig.note("seed", seed);
     let mut rows = Vec::new();
     let mut chart = LineChart::new("Sampled normals", "cos theta_m", "density of cos theta_m");
-    for exponent in [0.0, 5.0, 50.0, 500.0] {
+    let exponents = [0.0, 5.0, 50.0, 500.0];
+    let least = sidak(exponents.len(), 1e-3);
+    let limit = z_limit(exponents.len(), n, 1e-3);
+    for exponent in exponents {
         let grey = |v| Rgb::splat(v);
         let sampling = BlinnPhongSampling::Importance;
         let lobe = BlinnPhongLobe::<f32>::new(grey(0.5), grey(0.5), exponent as f32, sampling);
         let u = |i: u64| Independent::new(seed, exponent as u64, i).next_2d::<f32>();
-        let (z, mean, cosines) = test(n, exponent, |i| {
+        let (found, mean, cosines) = test(n, exponent, |i| {
             lobe.sample_normal(u(i)).to_array().map(f64::from)
         });
-        let (z_printed, mean_printed, _) = test(n, exponent, |i| {
+        let (wrong, mean_printed, _) = test(n, exponent, |i| {
             let u = u(i).map(f64::from);
             // arccos((1 - u)^(1 / (e + 2)))
             let theta = (1.0 - u[0]).powf(1.0 / (exponent + 2.0)).min(1.0).acos();
@@ -60,20 +65,22 @@ pub fn figure(fig: &mut Figure) -> Result {
         });
         let expected = (exponent + 2.0) / (exponent + 3.0);
         let sd = ((exponent + 2.0) / (exponent + 4.0) - expected * expected).sqrt();
-        let error = (mean - expected).abs() / (sd / (n as f64).sqrt());
-        // Four tests of one-sided significance 3e-5.
+        let se = sd / (n as f64).sqrt();
+        let z = Estimate { mean, se }.z(&Estimate::exact(expected)).abs();
         fig.check(
             format!("(a) exponent {exponent}: normals pass the chi-square test"),
-            z < 4.0,
+            found.p_value > least,
             format!(
-                "deviate {z:.2}, at most 4 ({} cells, {n} normals)",
+                "p-value {:.3}, at least {least:.5}, deviate {:.2} ({} cells, {n} normals)",
+                found.p_value,
+                found.deviate,
                 CELLS[0] * CELLS[1]
             ),
         );
         fig.check(
             format!("(a) exponent {exponent}: mean cosine (e+2)/(e+3)"),
-            error < 4.0,
-            format!("{mean:.5}, expected {expected:.5}, {error:.1} standard errors"),
+            z < limit,
+            format!("{mean:.5}, expected {expected:.5}, {z:.1} standard errors, limit {limit:.2}"),
         );
         // For exponent 0, cos and sin of the angle have the same distribution: invisible.
         let visible = exponent > 0.0;
@@ -82,12 +89,20 @@ pub fn figure(fig: &mut Figure) -> Result {
                 "exponent {exponent}: the printed vector {} (errata S-B2)",
                 if visible { "fails" } else { "happens to pass" }
             ),
-            (z_printed > 100.0) == visible,
+            (wrong.deviate > 100.0) == visible,
             format!(
-                "mean cosine {mean_printed:.3} instead of {expected:.3}, deviate {z_printed:.1}"
+                "mean cosine {mean_printed:.3} instead of {expected:.3}, deviate {:.1}",
+                wrong.deviate
             ),
         );
-        rows.push([exponent, expected, mean, mean_printed, z, z_printed]);
+        rows.push([
+            exponent,
+            expected,
+            mean,
+            mean_printed,
+            found.deviate,
+            wrong.deviate,
+        ]);
         let bins = cosines
             .iter()
             .enumerate()

@@ -7,8 +7,10 @@ use ad_core::{Dual, Real, Vec3};
 use render::bsdf::{BlinnPhongLobe, BlinnPhongSampling, Lobe, TransportMode};
 use render::math::Rgb;
 use render::sampler::{Independent, Sampler};
+use render::statistics::{Estimate, z_limit};
 
 use super::printed;
+use crate::statistics::Moments;
 use examples::chart::LineChart;
 use examples::figure::{Figure, Result};
 
@@ -37,32 +39,6 @@ impl Light {
             Self::HalfPlane(n) if w.primal().dot(n) > 0.0 => R::one(),
             Self::HalfPlane(_) => R::zero(),
         }
-    }
-}
-
-/// Mean and standard error.
-#[derive(Clone, Copy, Debug, Default)]
-struct Moments {
-    n: f64,
-    sum: f64,
-    squares: f64,
-}
-
-impl Moments {
-    fn add(&mut self, x: f64) {
-        self.n += 1.0;
-        self.sum += x;
-        self.squares += x * x;
-    }
-    fn mean(&self) -> f64 {
-        self.sum / self.n
-    }
-    fn error(&self) -> f64 {
-        ((self.squares / self.n - self.mean().powi(2)).max(0.0) / self.n).sqrt()
-    }
-    /// Standard errors from `x`.
-    fn off(&self, x: f64) -> f64 {
-        (self.mean() - x).abs() / self.error()
     }
 }
 
@@ -168,11 +144,18 @@ pub fn attached_outcomes(n: u64) -> [(&'static str, bool, String); 2] {
     ]
     .map(|(statement, light, agrees)| {
         let g = gradients(20.0, wo, light, n);
-        let off = (g.attached.mean() - g.truth).abs() / g.attached.error().max(1e-12);
-        let (found, error) = (g.attached.mean(), g.attached.error());
-        let text = format!("{found:.4e} ± {error:.0e}, true {:.4e}", g.truth);
-        (statement, (off < 4.0) == agrees, text)
+        let z = g.attached.z(g.truth).abs();
+        (
+            statement,
+            (z < z_limit(1, n, 1e-3)) == agrees,
+            text(&g.attached, g.truth),
+        )
     })
+}
+
+fn text(found: &Moments, truth: f64) -> String {
+    let Estimate { mean, se } = found.of_mean();
+    format!("{mean:.4e} ± {se:.0e}, true {truth:.4e}")
 }
 
 /// Mean sample weight of the printed rule, `E[sin theta_m]`.
@@ -186,13 +169,16 @@ pub fn mean_printed_weight(exponent: f64, n: u64) -> f64 {
 fn weight(fig: &mut Figure, n: u64) {
     let mut rows = Vec::new();
     let mut worst = 0.0f64;
-    for (exponent, expected) in [
+    let means = [
         (0.0, 0.667),
         (10.0, 0.341),
         (100.0, 0.123),
         (1e3, 0.0396),
         (1e4, 0.0125),
-    ] {
+    ];
+    let n = n.min(400_000);
+    let limit = z_limit(means.len(), n, 1e-3);
+    for (exponent, expected) in means {
         let wo = Vec3::new(0.0, 0.0, 1.0);
         // The integral of D cos over the hemisphere by the midpoint rule, denser at the pole.
         let steps = 20_000;
@@ -203,7 +189,7 @@ fn weight(fig: &mut Figure, n: u64) {
         });
         let d_cos: f64 = d_cos.sum::<f64>() / f64::from(steps);
         let mut sine = Moments::default();
-        for i in 0..n.min(400_000) {
+        for i in 0..n {
             let m = white(exponent).sample_normal(Independent::new(12, 0, i).next_2d());
             sine.add(printed::weight(m.z));
             let wi = m * (2.0 * m.z) - wo;
@@ -216,14 +202,10 @@ fn weight(fig: &mut Figure, n: u64) {
         }
         fig.check(
             format!("exponent {exponent}: the printed weight darkens the highlight to E[sin theta_m] (errata S-C1)"),
-            (sine.mean() - expected).abs() < 5e-4 + 4.0 * sine.error() && (d_cos - 1.0).abs() < 1e-6,
-            format!("{:.4}, expected {expected}; integral of D cos is {d_cos:.6}", sine.mean()),
+            (sine.mean - expected).abs() < 5e-4 + limit * sine.of_mean().se && (d_cos - 1.0).abs() < 1e-6,
+            format!("{:.4}, expected {expected}; integral of D cos is {d_cos:.6}", sine.mean),
         );
-        rows.push([
-            exponent,
-            sine.mean(),
-            (PI / (2.0 * (exponent + 2.0))).sqrt(),
-        ]);
+        rows.push([exponent, sine.mean, (PI / (2.0 * (exponent + 2.0))).sqrt()]);
     }
     fig.check(
         "corrected, a sample weighs 1 at every exponent",
@@ -257,6 +239,8 @@ fn weight(fig: &mut Figure, n: u64) {
 /// The derivative in the exponent.
 fn exponent_derivative(fig: &mut Figure, n: u64) {
     let [wo, mirror, tilted] = views();
+    // Detached and attached derivatives for two lights.
+    let limit = z_limit(4, n, 1e-3);
     let mut rows = Vec::new();
     for exponent in [5.0, 20.0, 80.0] {
         for (name, light) in [
@@ -268,42 +252,36 @@ fn exponent_derivative(fig: &mut Figure, n: u64) {
                 exponent,
                 f64::from(u8::from(matches!(light, Light::HalfPlane(_)))),
                 g.truth,
-                g.detached.mean(),
-                g.attached.mean(),
+                g.detached.mean,
+                g.attached.mean,
                 g.truth_printed_weight,
-                g.printed.mean(),
+                g.printed.mean,
             ]);
             if exponent != 20.0 {
                 continue;
             }
             fig.check(
                 format!("exponent 20, {name}: detached gradient 1/(e+2) + ln cos theta_m is the derivative"),
-                g.detached.off(g.truth) < 4.0,
-                format!("{:.4e} ± {:.0e}, true {:.4e}", g.detached.mean(), g.detached.error(), g.truth),
+                g.detached.z(g.truth).abs() < limit,
+                text(&g.detached, g.truth),
             );
             let smooth = matches!(light, Light::Smooth(_));
-            let off = (g.attached.mean() - g.truth).abs() / g.attached.error().max(1e-12);
             fig.check(
                 if smooth {
                     format!("exponent 20, {name}: attached sampling agrees")
                 } else {
                     format!("exponent 20, {name}: attached sampling misses the step (F8)")
                 },
-                (off < 4.0) == smooth,
-                format!(
-                    "{:.4e} ± {:.0e}, true {:.4e}",
-                    g.attached.mean(),
-                    g.attached.error(),
-                    g.truth
-                ),
+                (g.attached.z(g.truth).abs() < limit) == smooth,
+                text(&g.attached, g.truth),
             );
             fig.check(
                 format!("exponent 20, {name}: the printed update is not the derivative, not even of the printed weight (errata S-C3)"),
-                g.printed.off(g.truth_printed_weight) > 10.0 && g.printed.off(g.truth) > 10.0,
+                g.printed.z(g.truth_printed_weight).abs() > 10.0 && g.printed.z(g.truth).abs() > 10.0,
                 format!(
                     "{:.4e} ± {:.0e}; true {:.4e} with weight sin theta_m, {:.4e} with weight 1",
-                    g.printed.mean(),
-                    g.printed.error(),
+                    g.printed.mean,
+                    g.printed.of_mean().se,
                     g.truth_printed_weight,
                     g.truth
                 ),

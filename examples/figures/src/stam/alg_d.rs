@@ -11,25 +11,20 @@ use render::math::Transform;
 use render::params::Theta;
 use render::sampler::{Independent, Sampler};
 use render::scene::Builder;
+use render::statistics::{Estimate, z_limit};
 use render::{Film, Scene, Settings};
 
 use super::cornell::faces;
+use crate::statistics::Moments;
 use examples::chart::LineChart;
 use examples::figure::{Figure, Result};
 
 const ALBEDO: f64 = 0.5;
 const ABSORB: f64 = 0.3;
 
-/// Mean and standard error of `n` numbers.
-fn mean(n: u64, mut f: impl FnMut(u64) -> f64) -> (f64, f64) {
-    let (mut sum, mut squares) = (0.0, 0.0);
-    for i in 0..n {
-        let x = f(i);
-        sum += x;
-        squares += x * x;
-    }
-    let m = sum / n as f64;
-    (m, ((squares / n as f64 - m * m).max(0.0) / n as f64).sqrt())
+/// Mean of `n` numbers and its standard error.
+fn mean(n: u64, f: impl FnMut(u64) -> f64) -> Estimate {
+    (0..n).map(f).collect::<Moments>().of_mean()
 }
 
 /// A path in a closed furnace: number of scatterings, and whether it ended by absorption (and not by
@@ -102,8 +97,9 @@ fn furnace() -> Result<Scene> {
 /// A depth that no path reaches.
 const DEEP: usize = 1000;
 
-fn text((m, e): (f64, f64), x: f64) -> String {
-    format!("{m:.4} ± {e:.4}, expected {x}")
+fn text(found: Estimate, x: f64) -> String {
+    let Estimate { mean, se } = found;
+    format!("{mean:.4} ± {se:.4}, expected {x}")
 }
 
 /// The cost is one of pixels, not of samples (S-D5).
@@ -173,16 +169,16 @@ fn by_the_renderer(fig: &mut Figure) -> Result {
         d.push(g.values[0].iter().sum::<f64>());
         e.push(g.values[1].iter().sum::<f64>());
     }
+    let limit = z_limit(3, batches, 1e-2);
     for (what, found, expected) in [
         ("radiance", l, 2.0),
         ("albedo derivative", d, 4.0),
         ("emission derivative", e, 2.0),
     ] {
-        let m = mean(batches, |i| found[i as usize]);
-        let m = (m.0, m.1 * (16.0f64 / 15.0).sqrt());
+        let m = Estimate::of(&found);
         fig.check(
             format!("(b) this renderer in the same furnace: {what}"),
-            (m.0 - expected).abs() < 4.0 * m.1 + 1e-6,
+            (m.mean - expected).abs() < limit * m.se + 1e-6,
             text(m, expected),
         );
     }
@@ -195,11 +191,11 @@ fn absorption(fig: &mut Figure, n: u64) {
     for k in 1..10 {
         let absorb = f64::from(k) / 10.0;
         let survive = 1.0 - absorb;
-        let (m, _) = mean(n / 10, |i| {
+        let m = mean(n / 10, |i| {
             let (s, _) = make_path(i, absorb, DEEP);
             (ALBEDO / survive).powi(s as i32) / absorb
         });
-        rows.push([absorb, m, 1.0 / (1.0 - ALBEDO * survive)]);
+        rows.push([absorb, m.mean, 1.0 / (1.0 - ALBEDO * survive)]);
     }
     let chart = LineChart::new(
         "Closed furnace: roulette must not matter",
@@ -219,7 +215,9 @@ pub fn figure(fig: &mut Figure) -> Result {
     let n = fig.pick(400_000u64, 10_000_000);
     fig.note("paths", n);
     fig.note("seed", 21);
-    let near = |(m, e): (f64, f64), x: f64| (m - x).abs() < 3.0 * e;
+    // Eight means: radiance and derivatives, as they should be and as printed, and with a limit of depth.
+    let limit = z_limit(8, n, 1e-2);
+    let near = |found: Estimate, x: f64| found.z(&Estimate::exact(x)).abs() < limit;
     let of = |k: usize, emission: f64, printed: bool, depth: usize| {
         mean(n, |i| pass(i, emission, printed, depth)[k])
     };
@@ -263,10 +261,10 @@ pub fn figure(fig: &mut Figure) -> Result {
     );
     fig.check(
         "printed: too large by the emission itself (errata S-D4)",
-        (wrong.0 / 3.0 - 1.0 / (1.0 - ALBEDO * survive)).abs() < 3.0 * wrong.1,
+        near(wrong, 3.0 / (1.0 - ALBEDO * survive)),
         format!(
             "{:.3} for 1.538 of the printed forward pass, 2 is true",
-            wrong.0
+            wrong.mean
         ),
     );
 
@@ -287,8 +285,8 @@ pub fn figure(fig: &mut Figure) -> Result {
     );
     fig.check(
         "counting paths that were cut as well is wrong (errata S-D6)",
-        !near(wrong, 1.875) && wrong.0 > 1.9,
-        format!("{:.3} instead of 1.875", wrong.0),
+        !near(wrong, 1.875) && wrong.mean > 1.9,
+        format!("{:.3} instead of 1.875", wrong.mean),
     );
 
     cost_per_pixel(fig);

@@ -10,13 +10,14 @@ use render::estimator::{AllowBias, Attached, BsdfOnly, Detached};
 use render::instances::{Estimator, render_f64};
 use render::math::Rgb;
 use render::params::Theta;
+use render::statistics::{Estimate, z_limit};
 
 use super::alg_c;
 use super::cornell::{LABELS, NAMES, SPHERE, perturbed};
 use super::fixed_path::{FixedPath, Vertex, images};
 use super::gradient_images::{
-    Batched, EXPONENT, FD_STEP, Setup, THETA, batched, forward_batched, grey, highlight, panels,
-    scene, setup, total,
+    BATCHES, Batched, EXPONENT, FD_STEP, Setup, THETA, batched, forward_batched, grey, highlight,
+    panels, scene, setup,
 };
 use super::printed;
 use examples::chart::{LineChart, Panel};
@@ -163,24 +164,30 @@ fn differences(scene: &Scene, s: &Setup) -> Result<Vec<Batched>> {
     Ok(reference)
 }
 
+fn text(e: Estimate) -> String {
+    format!("{:.4} ± {:.4}", e.mean, e.se)
+}
+
 /// (b) Detached derivatives against differences.
 fn detached(fig: &mut Figure, b: &Batched, reference: &[Batched]) {
+    let limit = z_limit(USED.len(), BATCHES, 1e-2);
     let mut rows = Vec::new();
     for (&k, fd) in USED.iter().zip(reference) {
-        let (found, error) = total(b, k + 1);
-        let (truth, fd_error) = total(fd, 0);
-        let z = (found - truth).abs() / error.hypot(fd_error);
+        let (found, truth) = (b.totals[k + 1], fd.totals[0]);
+        let z = found.z(&truth).abs();
         fig.check(
             format!(
                 "(b) variant ii, {}: detached derivative matches differences",
                 LABELS[k]
             ),
-            z < 4.0,
+            z < limit,
             format!(
-                "sum over the image {found:.4} ± {error:.4}, differences {truth:.4} ± {fd_error:.4}"
+                "sum over the image {}, differences {}, deviate {z:.2}, limit {limit:.2}",
+                text(found),
+                text(truth)
             ),
         );
-        rows.push([k as f64, found, error, truth, fd_error]);
+        rows.push([k as f64, found.mean, found.se, truth.mean, truth.se]);
     }
     fig.csv(
         "totals",
@@ -205,7 +212,6 @@ fn as_printed(
     s: &Setup,
     differences: &Batched,
 ) -> Result<Batched> {
-    let (truth, fd_error) = total(differences, 0);
     let values = perturbed(scene, 0, 0.0)?;
     let lobe = sphere_lobe(&values, scene)?;
     let theta = Theta::<f64>::constant(&values);
@@ -225,11 +231,11 @@ fn as_printed(
         });
         Ok(found.to_vec())
     })?;
-    let (found, error) = total(&measured, 1);
+    let (found, truth) = (measured.totals[1], differences.totals[0]);
     fig.check(
         "(c) variant i, printed exponent gradient is wrong (errata S-C1, S-C3)",
-        (found - truth).abs() > 6.0 * error.hypot(fd_error),
-        format!("sum over the image {found:.4} ± {error:.4}, true {truth:.4} ± {fd_error:.4}"),
+        found.z(&truth).abs() > 6.0,
+        format!("sum over the image {}, true {}", text(found), text(truth)),
     );
     let region = highlight(THETA, s)?;
     let sum = |k: usize| region.iter().map(|&i| measured.mean[k][i]).sum::<f64>();
@@ -266,13 +272,18 @@ fn albedos(fig: &mut Figure, b: &Batched, attached: &Batched, b7: &Batched) {
         same < 1e-9,
         format!("largest relative difference {same:.1e}"),
     );
+    let limit = z_limit(4, BATCHES, 1e-2);
     for k in [0, 2, 3, 6] {
-        let (a, ea) = total(b, k + 1);
-        let (c, ec) = total(b7, k + 1);
+        let (a, c) = (b.totals[k + 1], b7.totals[k + 1]);
         fig.check(
             format!("(d) {}: importance and cosine sampling agree", LABELS[k]),
-            (a - c).abs() < 4.0 * ea.hypot(ec),
-            format!("{a:.4} ± {ea:.4}, {c:.4} ± {ec:.4}"),
+            a.z(&c).abs() < limit,
+            format!(
+                "{}, {}, deviate {:.2}, limit {limit:.2}",
+                text(a),
+                text(c),
+                a.z(&c)
+            ),
         );
     }
 }
@@ -294,12 +305,11 @@ pub fn figure(fig: &mut Figure) -> Result {
     let reference = differences(&scene7, &s)?;
     detached(fig, &b, &reference);
     let attached = forward_batched::<AllowBias<BsdfOnly<Attached>>>(&scene8, s.seed, s.spp)?;
-    let (found, error) = total(&attached, EXPONENT + 1);
-    let (truth, fd_error) = total(&reference[3], 0);
+    let (found, truth) = (attached.totals[EXPONENT + 1], reference[3].totals[0]);
     fig.check(
         "(b) attached sampling without reparameterisation misses the edge of the light (F8)",
-        (found - truth).abs() > 6.0 * error.hypot(fd_error),
-        format!("{found:.4} ± {error:.4}, differences {truth:.4} ± {fd_error:.4}"),
+        found.z(&truth).abs() > 6.0,
+        format!("{}, differences {}", text(found), text(truth)),
     );
     let measured = as_printed(fig, &scene8, &s, &reference[3])?;
     albedos(fig, &b, &attached, &b7);

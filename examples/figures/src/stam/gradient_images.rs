@@ -9,8 +9,10 @@ use render::instances::{Direction, forward_f32};
 use render::integrator::render::{Rendering, render};
 use render::params::{Tangent, Theta};
 use render::sampler::Independent;
+use render::statistics::Estimate;
 
 use super::cornell::{CONTROLS, Cornell, LABELS, NAMES, perturbed};
+use crate::statistics::per_pixel;
 use examples::chart::Panel;
 use examples::figure::{Figure, Result};
 
@@ -61,8 +63,8 @@ pub(super) fn forward<S: Unbiased>(
 pub(super) struct Batched {
     pub(super) mean: Vec<Vec<f64>>,
     pub(super) error: Vec<Vec<f64>>,
-    /// Sum over the pixels per batch and component.
-    pub(super) totals: Vec<Vec<f64>>,
+    /// Sum over the pixels of each component.
+    pub(super) totals: Vec<Estimate>,
     pub(super) bad: u64,
 }
 
@@ -71,30 +73,29 @@ pub(super) fn batched(
     mut one: impl FnMut(std::ops::Range<u64>) -> Result<Vec<Vec<f64>>>,
 ) -> Result<Batched> {
     let per = (spp / BATCHES).max(1);
-    let mut parts = Vec::new();
+    let mut components: Vec<Vec<Vec<f64>>> = Vec::new();
     for b in 0..BATCHES {
-        parts.push(one(b * per..(b + 1) * per)?);
-    }
-    let n = BATCHES as f64;
-    let (components, pixels) = (parts[0].len(), parts[0][0].len());
-    let mut out = Batched {
-        mean: vec![vec![0.0; pixels]; components],
-        error: vec![vec![0.0; pixels]; components],
-        totals: parts
-            .iter()
-            .map(|p| p.iter().map(|c| c.iter().sum()).collect())
-            .collect(),
-        bad: 0,
-    };
-    for k in 0..components {
-        for i in 0..pixels {
-            let mean = parts.iter().map(|p| p[k][i]).sum::<f64>() / n;
-            let var = parts.iter().map(|p| (p[k][i] - mean).powi(2)).sum::<f64>() / (n - 1.0);
-            out.mean[k][i] = mean;
-            out.error[k][i] = (var / n).sqrt();
+        let images = one(b * per..(b + 1) * per)?;
+        components.resize_with(images.len(), Vec::new);
+        for (batches, image) in components.iter_mut().zip(images) {
+            batches.push(image);
         }
     }
-    Ok(out)
+    let pixels: Vec<_> = components
+        .iter()
+        .map(|batches| per_pixel(batches))
+        .collect();
+    let total = |batches: &Vec<Vec<f64>>| {
+        let sums = batches.iter().map(|image| image.iter().sum());
+        Estimate::of(&sums.collect::<Vec<_>>())
+    };
+    let of = |f: fn(&Estimate) -> f64| pixels.iter().map(|k| k.iter().map(f).collect()).collect();
+    Ok(Batched {
+        mean: of(|e| e.mean),
+        error: of(|e| e.se),
+        totals: components.iter().map(total).collect(),
+        bad: 0,
+    })
 }
 
 /// Grey pixel values of all components.
@@ -115,14 +116,6 @@ pub(super) fn forward_batched<S: Unbiased>(scene: &Scene, seed: u64, spp: u64) -
     })?;
     out.bad = bad;
     Ok(out)
-}
-
-/// Mean over the batches of a component's sum over the image, and its standard error.
-pub(super) fn total(b: &Batched, k: usize) -> (f64, f64) {
-    let n = b.totals.len() as f64;
-    let mean = b.totals.iter().map(|t| t[k]).sum::<f64>() / n;
-    let var = b.totals.iter().map(|t| (t[k] - mean).powi(2)).sum::<f64>() / (n - 1.0);
-    (mean, (var / n).sqrt())
 }
 
 pub(super) fn panels(mean: &[Vec<f64>], size: u32, title: &str, factor: usize) -> Vec<Panel> {

@@ -2,8 +2,8 @@
 
 use render::manifold::{distinct, trials};
 use render::sampler::{Independent, Sampler};
+use render::statistics::{Estimate, z_limit};
 
-use crate::statistics::Estimate;
 use examples::chart::LineChart;
 use examples::figure::{Figure, Result};
 
@@ -13,6 +13,8 @@ const F: [f64; 4] = [1.0, 2.0, 3.0, 4.0];
 /// Sizes of trial sets.
 const M: [u32; 5] = [1, 4, 16, 64, 256];
 const SEED: u64 = 31;
+/// Significance of all comparisons together.
+const LEVEL: f64 = 1e-3;
 
 /// Draws a solution, or none.
 fn draw(s: &mut Independent) -> Option<usize> {
@@ -49,24 +51,37 @@ pub fn figure(fig: &mut Figure) -> Result {
     let each: Vec<(f64, u32)> = (0..n)
         .map(|i| unbiased(&mut Independent::new(SEED, 0, i)))
         .collect();
-    let mean = Estimate::of(each.iter().map(|e| e.0));
+    let mean = Estimate::of(&each.iter().map(|e| e.0).collect::<Vec<_>>());
+    // Seven comparisons, of which those of trial sets have fewest samples.
+    let tests = 2 + M.len();
+    let (z, limit) = (mean.z(&Estimate::exact(total)), z_limit(tests, n, LEVEL));
     fig.check(
         "unbiased estimates have the mean of all solutions",
-        ((mean.mean - total) / mean.error).abs() < 4.0 && mean.error < 0.05 * total,
-        format!("{:.4} ± {:.4} of {total}", mean.mean, mean.error),
+        z.abs() < limit && mean.se < 0.05 * total,
+        format!(
+            "{:.4} ± {:.4} of {total}, deviate {z:.2}, limit {limit:.2}",
+            mean.mean, mean.se
+        ),
     );
     // Of those that found something: as many solutions as there are over the probability to find any.
     let found = each.iter().filter(|e| e.1 > 0).map(|e| f64::from(e.1));
-    let taken = Estimate::of(found);
+    let found: Vec<f64> = found.collect();
+    let taken = Estimate::of(&found);
     let expected = P.len() as f64 / P.iter().sum::<f64>();
+    let z = taken.z(&Estimate::exact(expected));
+    let limit = z_limit(tests, found.len() as u64, LEVEL);
     fig.check(
         "trials per solution are the number of solutions over the success rate",
-        ((taken.mean - expected) / taken.error).abs() < 4.0,
-        format!("{:.4} ± {:.4} of {expected:.4}", taken.mean, taken.error),
+        z.abs() < limit,
+        format!(
+            "{:.4} ± {:.4} of {expected:.4}, deviate {z:.2}, limit {limit:.2}",
+            taken.mean, taken.se
+        ),
     );
 
     // ---- Algorithm 3.3 ----
     let mut rows = Vec::new();
+    let mut within = true;
     for m in M {
         let runs = (n / u64::from(m)).max(2000);
         let sums = (0..runs).map(|i| {
@@ -74,15 +89,16 @@ pub fn figure(fig: &mut Figure) -> Result {
             let found = distinct(m, || draw(&mut s), |a, b| a == b);
             found.iter().map(|&k| F[k]).sum()
         });
-        let mean = Estimate::of(sums);
+        let mean = Estimate::of(&sums.collect::<Vec<_>>());
         let exact: f64 = (P.iter().zip(F))
             .map(|(p, f)| f * (1.0 - (1.0 - p).powi(m as i32)))
             .sum();
-        rows.push([f64::from(m), mean.mean, mean.error, exact]);
+        within &= mean.z(&Estimate::exact(exact)).abs() < z_limit(tests, runs, LEVEL);
+        rows.push([f64::from(m), mean.mean, mean.se, exact]);
     }
     fig.check(
         "trial sets of M walks have the mean of f (1 - (1 - P)^M), which grows towards that of all",
-        rows.iter().all(|r| ((r[1] - r[3]) / r[2]).abs() < 4.5)
+        within
             && rows
                 .windows(2)
                 .all(|r| r[0][3] < r[1][3] && r[1][3] < total),

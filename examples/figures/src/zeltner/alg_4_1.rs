@@ -13,12 +13,12 @@ use render::instances::{
 };
 use render::integrator::gradient::Active;
 use render::params::{ParamInfo, Theta};
+use render::statistics::{Estimate, z_limit};
 use render::{Scene, Settings};
 
 use super::propagation::{memory_stays, push_f64};
 use crate::common_scenes::{Walls, cornell};
 use crate::differences::central;
-use crate::statistics::{Estimate, limit};
 use examples::chart::{LineChart, Panel};
 use examples::figure::{Figure, Result};
 use examples::scene_builder::picture;
@@ -210,7 +210,7 @@ fn distance(a: &[f64], b: &[f64]) -> f64 {
 fn transpose(runs: Vec<Vec<f64>>) -> Vec<Estimate> {
     let n = LABELS.len();
     (0..n)
-        .map(|i| Estimate::of(runs.iter().map(|r| r[i])))
+        .map(|i| Estimate::of(&runs.iter().map(|r| r[i]).collect::<Vec<_>>()))
         .collect()
 }
 
@@ -262,7 +262,7 @@ pub fn figure(fig: &mut Figure) -> Result {
     };
     let reverse = many(&|k| room.reverse_f32(at(SEED + 1000 + k)))?;
     let differences = many(&|k| Ok(room.differences(at(SEED + 2000 + k))))?;
-    let limit = limit(LABELS.len(), runs, LEVEL);
+    let limit = z_limit(LABELS.len(), runs, LEVEL);
     let (z, i) = worst(&reverse, &differences);
     fig.check(
         "all ten equal finite differences",
@@ -308,7 +308,7 @@ pub fn figure(fig: &mut Figure) -> Result {
 
 /// Smallest and largest standard error, relative.
 fn smallest(estimates: &[Estimate]) -> (f64, f64) {
-    let relative = estimates.iter().map(|e| e.error / e.mean.abs());
+    let relative = estimates.iter().map(|e| e.se / e.mean.abs());
     relative.fold((f64::INFINITY, 0.0), |(lo, hi), e| (lo.min(e), hi.max(e)))
 }
 
@@ -321,7 +321,7 @@ fn report(
 ) {
     let rows = LABELS.iter().enumerate().map(|(i, label)| {
         let (r, d) = (reverse[i], differences[i]);
-        let numbers = [r.mean, r.error, d.mean, d.error, r.z(&d), pulled[i]];
+        let numbers = [r.mean, r.se, d.mean, d.se, r.z(&d), pulled[i]];
         let [a, b, c, e, f, g] = numbers.map(|x| x.to_string());
         [(*label).to_owned(), a, b, c, e, f, g]
     });
@@ -345,7 +345,7 @@ fn report(
     let ratio = |e: &[Estimate], k: f64| -> Vec<(f64, f64)> {
         let pairs = e.iter().zip(differences).enumerate();
         pairs
-            .map(|(i, (e, d))| ((i + 1) as f64, (e.mean + k * e.error) / d.mean))
+            .map(|(i, (e, d))| ((i + 1) as f64, (e.mean + k * e.se) / d.mean))
             .collect()
     };
     chart = chart

@@ -9,11 +9,11 @@ use render::integrator::gradient::{Active, backward};
 use render::integrator::render::render;
 use render::params::{Tangent, Theta};
 use render::sampler::Spread;
+use render::statistics::{Estimate, z_limit};
 use render::{Job, Scene};
 
 use super::propagation::memory_stays;
 use crate::common_scenes::{below_lamp, lamp_above_floor};
-use crate::statistics::{Estimate, limit};
 use examples::figure::{Figure, Result};
 use examples::scene_builder::SceneBuilder;
 
@@ -127,7 +127,7 @@ fn differences(scene: &mut Scene, seed: u64, spp: u64) -> Result<Vec<f64>> {
 
 fn estimates(runs: &[Vec<f64>]) -> Vec<Estimate> {
     (0..LABELS.len())
-        .map(|i| Estimate::of(runs.iter().map(|r| r[i])))
+        .map(|i| Estimate::of(&runs.iter().map(|r| r[i]).collect::<Vec<_>>()))
         .collect()
 }
 
@@ -163,25 +163,25 @@ pub fn figure(fig: &mut Figure) -> Result {
         .map(|k| differences(&mut scene, SEED + 200 + k, more))
         .collect();
     let expected = estimates(&many?);
-    let most = limit(LABELS.len(), runs, LEVEL);
+    let most = z_limit(LABELS.len(), runs, LEVEL);
     let largest = expected[7..]
         .iter()
         .fold(0.0, |m: f64, e| m.max(e.mean.abs()));
     for (i, (a, b)) in found.iter().zip(&expected).enumerate() {
         let allowed = if i < 7 { 0.0 } else { KERNEL * largest };
-        let error = a.error.hypot(b.error);
+        let error = a.se.hypot(b.se);
         let off = ((a.mean - b.mean).abs() - allowed).max(0.0) / error;
         fig.check(
             format!("{}: equals finite differences", LABELS[i]),
             off < most,
             format!(
                 "{:.5} +- {:.5}, differences {:.5} +- {:.5}, limit {most:.2} standard errors",
-                a.mean, a.error, b.mean, b.error
+                a.mean, a.se, b.mean, b.se
             ),
         );
     }
     let rows = found.iter().zip(&expected);
-    let rows = rows.map(|(a, b)| [a.mean, a.error, b.mean, b.error]);
+    let rows = rows.map(|(a, b)| [a.mean, a.se, b.mean, b.se]);
     let names = ["derivative", "error", "differences", "error of differences"];
     fig.csv("derivatives", &names, rows);
 

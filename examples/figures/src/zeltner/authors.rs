@@ -5,9 +5,9 @@ use std::path::{Path, PathBuf};
 
 use render::Scene;
 use render::scene::{Connections, LoadOptions, Method, Starts};
+use render::statistics::z_limit;
 
 use super::manifold_methods::{Effort, Measured, by_particles, measure_in};
-use crate::statistics::limit;
 use examples::figure::{Figure, Result};
 use examples::say;
 
@@ -146,7 +146,7 @@ impl Found {
     pub fn share(&self, k: usize) -> [f64; 2] {
         let [a, b] = [&self.ways[k], &self.particles].map(|m| m.series.whole);
         let ratio = a.mean / b.mean;
-        [ratio, ratio * (a.error / a.mean).hypot(b.error / b.mean)]
+        [ratio, ratio * (a.se / a.mean).hypot(b.se / b.mean)]
     }
 
     /// How much smaller the error of way `k` is than that of paths in the same time, squared.
@@ -205,7 +205,7 @@ pub fn compare(
         let m = &found.ways[k];
         let blocks = m.series.blocks.iter().zip(&reference.series.blocks);
         let worst = blocks.map(|(a, b)| a.z(b).abs()).fold(0.0, f64::max);
-        let bound = limit(m.series.blocks.len() + 1, effort.runs, 1e-3);
+        let bound = z_limit(m.series.blocks.len() + 1, effort.runs, 1e-3);
         let [ratio, error] = found.share(k);
         fig.check(
             format!("{name}: {label}: unbiased estimates bring the light of particles, all in all and block by block"),
@@ -242,7 +242,7 @@ pub fn compare(
     let rows = labels.zip(all).map(|(label, m)| {
         let numbers = [
             m.series.whole.mean,
-            m.series.whole.error,
+            m.series.whole.se,
             m.variance(),
             m.success(),
             m.lit(),
@@ -297,12 +297,13 @@ pub fn compare_methods(
     let shares: Vec<f64> = (3..ways.len()).map(|k| found.share(k)[0]).collect();
     let last = found.share(ways.len() - 1);
     let one = found.share(0);
+    let limit = z_limit(2, effort.runs, 1e-2);
     fig.check(
         format!("{name}: trial sets lose light, smaller ones more, and one walk brings no more than there is"),
         shares.windows(2).all(|w| w[0] < w[1])
             && shares[0] < 0.95
-            && last[0] < 1.0 + 4.0 * last[1]
-            && one[0] < 1.0 + 4.0 * one[1],
+            && last[0] < 1.0 + limit * last[1]
+            && one[0] < 1.0 + limit * one[1],
         format!("{shares:.3?} of it, one walk {:.3} ± {:.3}", one[0], one[1]),
     );
     fig.check(

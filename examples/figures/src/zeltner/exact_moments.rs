@@ -1,9 +1,10 @@
 //! Measured moments of estimators in one dimension beside the exact ones [Zeltner 2021, figures 4.10, 4.11 and 4.14].
 
 use ad_core::{Dual, Real};
+use render::statistics::{Estimate, z_limit};
 
-use super::integration_1d::Moments;
 use super::taxonomy::expectation;
+use crate::statistics::Moments;
 
 /// Exact mean and standard deviation over the random number.
 pub(super) fn exact(f: impl Fn(f64) -> f64) -> (f64, f64) {
@@ -12,16 +13,19 @@ pub(super) fn exact(f: impl Fn(f64) -> f64) -> (f64, f64) {
     (mean, variance.sqrt())
 }
 
-/// Whether measured moments agree with their exact values: mean and variance within 4 standard errors.
-pub(super) fn agrees(m: &Moments, (mean, std): (f64, f64)) -> bool {
-    m.z(mean).abs() < 4.0 && (m.variance() - std * std).abs() < 4.0 * m.variance_error()
+/// Whether measured mean and variance agree with their exact values, of so many of each that are compared; significance
+/// 1 in 1000 together.
+pub(super) fn agrees(m: &Moments, (mean, std): (f64, f64), pairs: usize) -> bool {
+    let limit = z_limit(2 * pairs, m.samples(), 1e-3);
+    let variance = Estimate::exact(std * std);
+    m.z(mean).abs() < limit && m.of_variance().z(&variance).abs() < limit
 }
 
 pub(super) fn describe(m: &Moments, (mean, std): (f64, f64)) -> String {
     format!(
         "mean {:.4} ± {:.4}, std {:.4}; by quadrature {mean:.4} and {std:.4}",
         m.mean,
-        m.error(),
+        m.of_mean().se,
         m.variance().sqrt()
     )
 }

@@ -1,6 +1,9 @@
 //! [Zeltner 2021, figure 2.21]: one integrand, a bad, a uniform and a good sampling density.
 
-use super::integration_1d::{Density, Moments, Piecewise, Uniform, integrate, positions};
+use render::statistics::{Estimate, z_limit};
+
+use super::integration_1d::{Density, Piecewise, Uniform, integrate, positions};
+use crate::statistics::Moments;
 use examples::chart::LineChart;
 use examples::figure::{Figure, Result};
 
@@ -22,6 +25,8 @@ pub fn figure(fig: &mut Figure) -> Result {
         [("mismatched", &bad), ("uniform", &uniform), ("good", &good)];
     let truth = integrate(range, 4000, f);
     fig.note("integral", truth);
+    // Mean and variance of each.
+    let limit = z_limit(2 * densities.len(), n, 1e-3);
     let mut found = Vec::new();
     for (i, (name, p)) in densities.iter().enumerate() {
         let weight = |x: f64| f(x) / p.pdf(x);
@@ -32,28 +37,27 @@ pub fn figure(fig: &mut Figure) -> Result {
             largest = largest.max(w);
             w
         });
-        // Three two-sided tests at 4 standard errors: significance 2e-4 together.
         fig.check(
             format!("{name} density: the same mean"),
-            m.z(truth).abs() < 4.0,
+            m.z(truth).abs() < limit,
             format!(
-                "{:.6} ± {:.6}, quadrature {truth:.6}: deviate {:.2}, at most 4 ({n} samples)",
+                "{:.6} ± {:.6}, quadrature {truth:.6}: deviate {:.2}, limit {limit:.2} ({n} samples)",
                 m.mean,
-                m.error(),
+                m.of_mean().se,
                 m.z(truth)
             ),
         );
         let exact = integrate(range, 4000, |x| f(x).powi(2) / p.pdf(x)) - truth * truth;
-        let z = (m.variance() - exact) / m.variance_error();
+        let z = m.of_variance().z(&Estimate::exact(exact));
         fig.check(
             format!(
                 "{name} density: the variance is the integral of f^2 / p less the mean's square"
             ),
-            z.abs() < 4.0,
+            z.abs() < limit,
             format!(
-                "{:.3e} ± {:.0e}, quadrature {exact:.3e}: deviate {z:.2}, at most 4",
+                "{:.3e} ± {:.0e}, quadrature {exact:.3e}: deviate {z:.2}, limit {limit:.2}",
                 m.variance(),
-                m.variance_error()
+                m.of_variance().se
             ),
         );
         let peak = positions(range, 4000).map(weight).fold(0.0, f64::max);
@@ -61,7 +65,7 @@ pub fn figure(fig: &mut Figure) -> Result {
     }
     let gaps = [0, 1].map(|k| {
         let (a, b) = (found[k].0, found[k + 1].0);
-        (a.variance() - b.variance()) / a.variance_error().hypot(b.variance_error())
+        a.of_variance().z(&b.of_variance())
     });
     fig.check(
         "variance: mismatched > uniform > good",
@@ -134,9 +138,9 @@ pub fn figure(fig: &mut Figure) -> Result {
         .map(|((m, peak, largest), (name, _))| {
             let numbers = [
                 m.mean,
-                m.error(),
+                m.of_mean().se,
                 m.variance(),
-                m.variance_error(),
+                m.of_variance().se,
                 *peak,
                 *largest,
             ];

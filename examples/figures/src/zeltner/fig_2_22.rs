@@ -16,18 +16,19 @@ pub fn figure(fig: &mut Figure) -> Result {
     let number = |i: u64| Independent::new(seed, 0, i).next_1d::<f64>();
     let samples: Vec<f64> = (0..n).map(|i| p.sample(number(i))).collect();
     let histogram = Histogram::of(&samples, &p);
-    // One one-sided test of significance 3e-5.
+    let test = histogram.test;
     fig.check(
         "the histogram of inverse-transform samples matches p (chi-square)",
-        histogram.deviate < 4.0,
+        test.p_value > 1e-3,
         format!(
-            "deviate {:.2}, at most 4 ({} cells, {n} samples)",
-            histogram.deviate,
+            "p-value {:.3}, at least 0.001, deviate {:.2} ({} cells, {n} samples)",
+            test.p_value,
+            test.deviate,
             Histogram::CELLS
         ),
     );
     let unmoved: Vec<f64> = (0..n).map(number).collect();
-    let wrong = Histogram::of(&unmoved, &p).deviate;
+    let wrong = Histogram::of(&unmoved, &p).test.deviate;
     fig.check(
         "the test notices the random numbers themselves, not passed through the inverse",
         wrong > 10.0,

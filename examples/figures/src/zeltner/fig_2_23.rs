@@ -1,6 +1,7 @@
 //! [Zeltner 2021, figure 2.23]: samples of a density by rejection.
 
 use render::sampler::{Independent, Sampler};
+use render::statistics::{sidak, z_limit};
 
 use super::integration_1d::{Density, Histogram, Normal, Uniform, positions};
 use super::two_bumps::{RANGE, target};
@@ -24,6 +25,8 @@ pub fn figure(fig: &mut Figure) -> Result {
     let flat = Uniform { range: RANGE };
     let proposals: [(&str, &dyn Density<f64>); 2] = [("normal q", &bell), ("uniform q", &flat)];
     let grid: Vec<f64> = positions(RANGE, 4000).collect();
+    let least = sidak(proposals.len(), 1e-3);
+    let limit = z_limit(proposals.len(), n, 1e-3);
     let mut shown = None;
     for (k, (name, q)) in proposals.into_iter().enumerate() {
         // A little above the largest ratio between the positions.
@@ -41,13 +44,14 @@ pub fn figure(fig: &mut Figure) -> Result {
         let all: Vec<Proposal> = (0..n).map(propose).collect();
         let accepted: Vec<f64> = all.iter().filter(|s| s.2).map(|s| s.0).collect();
         let histogram = Histogram::of(&accepted, &p);
-        // Two one-sided tests of significance 3e-5 each.
+        let test = histogram.test;
         fig.check(
             format!("{name}: the histogram of accepted proposals matches p (chi-square)"),
-            histogram.deviate < 4.0,
+            test.p_value > least,
             format!(
-                "deviate {:.2}, at most 4 ({} cells, {} accepted of {n})",
-                histogram.deviate,
+                "p-value {:.3}, at least {least:.4}, deviate {:.2} ({} cells, {} accepted of {n})",
+                test.p_value,
+                test.deviate,
                 Histogram::CELLS,
                 accepted.len()
             ),
@@ -56,14 +60,14 @@ pub fn figure(fig: &mut Figure) -> Result {
         let z = (share - 1.0 / c) / ((1.0 - 1.0 / c) / c / n as f64).sqrt();
         fig.check(
             format!("{name}: 1 / c of the proposals are accepted"),
-            z.abs() < 4.0,
+            z.abs() < limit,
             format!(
-                "{share:.5}, 1 / c = {:.5} (c = {c:.4}): deviate {z:.2}, at most 4",
+                "{share:.5}, 1 / c = {:.5} (c = {c:.4}): deviate {z:.2}, limit {limit:.2}",
                 1.0 / c
             ),
         );
         let everything: Vec<f64> = all.iter().map(|s| s.0).collect();
-        let wrong = Histogram::of(&everything, &p).deviate;
+        let wrong = Histogram::of(&everything, &p).test.deviate;
         fig.check(
             format!("{name}: the test notices when nothing is rejected"),
             wrong > 10.0,

@@ -1,8 +1,10 @@
 //! [Zeltner 2021, figure 2.24]: weights of multiple importance sampling.
 
 use render::sampler::Sampler;
+use render::statistics::{Estimate, z_limit};
 
-use super::integration_1d::{Density, Moments, Normal, integrate, positions};
+use super::integration_1d::{Density, Normal, integrate, positions};
+use crate::statistics::Moments;
 use examples::chart::LineChart;
 use examples::figure::{Figure, Result};
 
@@ -133,20 +135,21 @@ pub fn figure(fig: &mut Figure) -> Result {
         single.push((m, exact));
     }
     let exact_average = single.iter().map(|(_, v)| v).sum::<f64>() / 3.0;
+    // Mean and variance of each.
+    let limit = z_limit(2 * heuristics.len(), n, 1e-3);
     let mut combined = Vec::new();
     for (name, beta) in heuristics {
         let term = |j: usize, x: f64| weights(&p, x, beta)[j] * f(x) / p[j].pdf(x);
         let m = Moments::of(n, seed + 1, |s| {
             (0..3).map(|j| term(j, p[j].sample(s.next_1d()))).sum()
         });
-        // Two two-sided tests of the mean, and two of the variance, at 4 standard errors.
         fig.check(
             format!("{name}: the estimate is unbiased"),
-            m.z(truth).abs() < 4.0,
+            m.z(truth).abs() < limit,
             format!(
-                "{:.6} ± {:.6}, quadrature {truth:.6}: deviate {:.2}, at most 4 ({n} samples of each density)",
+                "{:.6} ± {:.6}, quadrature {truth:.6}: deviate {:.2}, limit {limit:.2} ({n} samples of each density)",
                 m.mean,
-                m.error(),
+                m.of_mean().se,
                 m.z(truth)
             ),
         );
@@ -156,12 +159,12 @@ pub fn figure(fig: &mut Figure) -> Result {
                 integrate(RANGE, 4000, |x| p[j].pdf(x) * term(j, x).powi(2)) - mean * mean
             })
             .sum();
-        let z = (m.variance() - exact) / m.variance_error();
+        let z = m.of_variance().z(&Estimate::exact(exact));
         let per_evaluation = 3.0 * m.variance();
-        let error = 3.0 * m.variance_error();
+        let error = 3.0 * m.of_variance().se;
         fig.check(
             format!("{name}: variance below the average of the three, at equal evaluations"),
-            per_evaluation + 5.0 * error < exact_average && z.abs() < 4.0,
+            per_evaluation + 5.0 * error < exact_average && z.abs() < limit,
             format!(
                 "{per_evaluation:.4} ± {error:.4} (quadrature {:.4}) against {exact_average:.4} = average of {:.3}, {:.3}, {:.3}",
                 3.0 * exact, single[0].1, single[1].1, single[2].1
@@ -173,7 +176,7 @@ pub fn figure(fig: &mut Figure) -> Result {
     let line = |name: String, m: &Moments, evaluations: f64, exact: f64| {
         let numbers = [
             m.mean,
-            m.error(),
+            m.of_mean().se,
             evaluations * m.variance(),
             evaluations * exact,
         ];

@@ -4,8 +4,10 @@ use std::f64::consts::TAU;
 
 use ad_core::{DiffFn, diff_fn, newton};
 use render::sampler::Sampler;
+use render::statistics::z_limit;
 
-use super::integration_1d::{Moments, integrate, positions};
+use super::integration_1d::{integrate, positions};
+use crate::statistics::Moments;
 use examples::chart::LineChart;
 use examples::figure::{Figure, Result};
 
@@ -22,6 +24,9 @@ diff_fn! {
         [(x * R::c(TAU)).cos() + x * R::c(0.15)]
     }
 }
+
+/// Means that are compared: of pairs by three rules, and of single samples of two functions.
+const TESTS: usize = 5;
 
 /// Results for one integrand and one rule for the second sample.
 struct Pairing {
@@ -75,27 +80,27 @@ fn study(
     let f = |x: f64| function.eval([x])[0];
     let truth = integrate(RANGE, 4000, f);
     let plain = Moments::of(n, seed, |s| f(s.next_1d()));
+    let limit = z_limit(TESTS, n, 1e-3);
     let mut results = Vec::new();
     for (rule, partner, helps) in rules {
         let pair = |x: f64| 0.5 * (f(x) + f(partner(x)));
         let pairs = Moments::of(n, seed, |s| pair(s.next_1d()));
-        // Three rules at 4 standard errors: significance 2e-4 together.
         fig.check(
             format!("{name} function, {rule}: the same mean"),
-            pairs.z(truth).abs() < 4.0 && plain.z(truth).abs() < 4.0,
+            pairs.z(truth).abs() < limit && plain.z(truth).abs() < limit,
             format!(
-                "pairs {:.6} ± {:.6}, single {:.6} ± {:.6}, quadrature {truth:.6}: deviates {:.2}, {:.2}, at most 4 ({n} each)",
+                "pairs {:.6} ± {:.6}, single {:.6} ± {:.6}, quadrature {truth:.6}: deviates {:.2}, {:.2}, limit {limit:.2} ({n} each)",
                 pairs.mean,
-                pairs.error(),
+                pairs.of_mean().se,
                 plain.mean,
-                plain.error(),
+                plain.of_mean().se,
                 pairs.z(truth),
                 plain.z(truth)
             ),
         );
         // A pair has two evaluations.
         let ratio = plain.variance() / (2.0 * pairs.variance());
-        let relative = |m: &Moments| m.variance_error() / m.variance();
+        let relative = |m: &Moments| m.of_variance().se / m.variance();
         let error = ratio * relative(&plain).hypot(relative(&pairs));
         if *helps {
             fig.check(

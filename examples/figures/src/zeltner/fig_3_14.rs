@@ -7,11 +7,11 @@ use render::manifold::{Connector, Solution, Target, distinct, trials};
 use render::sampler::{Independent, Sampler};
 use render::scene::{Constraint, Method, Starts, Uniqueness};
 use render::shape::Shape;
+use render::statistics::{Estimate, z_limit};
 
 use super::authors::{Authors, compare};
 use super::manifold_methods::{Effort, single};
 use super::specular_scenes::{Laboratory, RING, View, load};
-use crate::statistics::Estimate;
 use examples::chart::Panel;
 use examples::figure::{Figure, Result};
 use examples::ranks::median;
@@ -161,14 +161,16 @@ fn shown(fig: &mut Figure, [scene, basins, of_counts]: [&str; 3], ring: &Laborat
             (first.angle_per_target() * f64::from(n), n)
         })
         .collect();
-    let sum = Estimate::of(each.iter().map(|e| e.0));
-    let z = (sum.mean - worth) / sum.error;
+    let sum = Estimate::of(&each.iter().map(|e| e.0).collect::<Vec<_>>());
+    let z = sum.z(&Estimate::exact(worth));
+    // The sum, and the number of trials.
+    let limit = z_limit(2, n, 1e-3);
     fig.check(
         format!("{scene}the sum over the solutions is the mean of unbiased estimates"),
-        z.abs() < 4.0 && sum.error < 0.05 * worth,
+        z.abs() < limit && sum.se < 0.05 * worth,
         format!(
-            "{:.4e} ± {:.1e} of {worth:.4e}, deviate {z:.2}, at most 4",
-            sum.mean, sum.error
+            "{:.4e} ± {:.1e} of {worth:.4e}, deviate {z:.2}, limit {limit:.2}",
+            sum.mean, sum.se
         ),
     );
     let made: Vec<f64> = each
@@ -176,15 +178,15 @@ fn shown(fig: &mut Figure, [scene, basins, of_counts]: [&str; 3], ring: &Laborat
         .filter(|e| e.1 > 0)
         .map(|e| f64::from(e.1))
         .collect();
-    let mean = Estimate::of(made.iter().copied());
+    let mean = Estimate::of(&made);
     // One over the basin of the one that was found first, on average over those found: three over all of them.
     let expected = 3.0 / areas.iter().sum::<f64>();
     fig.check(
         format!("{scene}trials are the reciprocals of basins, on average"),
-        (mean.mean / expected - 1.0).abs() < 0.1 + 4.0 * mean.error / expected,
+        (mean.mean / expected - 1.0).abs() < 0.1 + limit * mean.se / expected,
         format!(
             "{:.2} ± {:.2}, {expected:.2} by the picture",
-            mean.mean, mean.error
+            mean.mean, mean.se
         ),
     );
     counts(fig, [scene, of_counts], ring, &connector, &target)

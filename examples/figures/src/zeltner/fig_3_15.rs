@@ -10,6 +10,7 @@ use render::manifold::{Solution, Target};
 use render::sampler::{Independent, Sampler};
 use render::scene::{Constraint, Uniqueness};
 use render::shape::Shape;
+use render::statistics::z_limit;
 
 use super::authors::Authors;
 use super::manifold_scenes::{RING_SHAPE, bumpy_ring};
@@ -94,13 +95,14 @@ fn fractal(fig: &mut Figure) {
         found == n,
         format!("{found} of {n} starts"),
     );
-    // Three two-sided tests at 4 standard errors: significance 2e-4 together.
+    // Three basins in a disc, three in a square.
+    let limit = z_limit(6, n, 1e-3);
     let z = deviates(counts, n, [1.0 / 3.0; 3]);
     fig.check(
         "basins cover a third of a centred disc each",
-        z.iter().all(|z| z.abs() < 4.0),
+        z.iter().all(|z| z.abs() < limit),
         format!(
-            "shares {:.5?}, deviates {z:.2?}, at most 4 ({n} starts)",
+            "shares {:.5?}, deviates {z:.2?}, limit {limit:.2} ({n} starts)",
             counts.map(|c| c as f64 / n as f64)
         ),
     );
@@ -129,7 +131,7 @@ fn fractal(fig: &mut Figure) {
     let errors = shares.map(|s| (s * (1.0 - s) / n as f64).sqrt());
     let known = [0.353, 0.323, 0.323];
     // The known numbers are rounded to three digits.
-    let close = (0..3).all(|k| (shares[k] - known[k]).abs() < 1e-3 + 4.0 * errors[k]);
+    let close = (0..3).all(|k| (shares[k] - known[k]).abs() < 1e-3 + limit * errors[k]);
     fig.check(
         "shares of the square [-2, 2]^2: 0.353, 0.323, 0.323",
         close,

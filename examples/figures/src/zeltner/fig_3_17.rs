@@ -80,7 +80,7 @@ pub fn figure(fig: &mut Figure) -> Result {
             100.0 * h
         ),
     );
-    let variance = |s: &Series| s.pixels.iter().map(|e| e.error * e.error).sum::<f64>();
+    let variance = |s: &Series| s.pixels.iter().map(|e| e.se * e.se).sum::<f64>();
     let efficiency = |s: &Series, seconds: f64| 1.0 / (variance(s) * seconds);
     let gain = efficiency(&angle, seconds_angle) / efficiency(&half, seconds_half);
     fig.check(

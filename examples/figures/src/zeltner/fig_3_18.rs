@@ -13,10 +13,10 @@ use render::math::Frame;
 use render::sampler::{Independent, Sampler};
 use render::scene::{Constraint, Uniqueness};
 use render::shape::{Cylinder, Shape};
+use render::statistics::{Estimate, z_limit};
 
 use super::manifold_scenes::glass;
 use super::specular_scenes::Laboratory;
-use crate::statistics::Estimate;
 use examples::chart::{LineChart, Panel};
 use examples::figure::{Figure, Result};
 use examples::scene_builder::{SceneBuilder, View};
@@ -297,7 +297,7 @@ pub fn figure(fig: &mut Figure) -> Result {
             })
             .collect();
         let pixels: Vec<Estimate> = (estimates.iter())
-            .map(|e| Estimate::of(e.iter().map(|x| x.0)))
+            .map(|e| Estimate::of(&e.iter().map(|x| x.0).collect::<Vec<_>>()))
             .collect();
         // Independent pictures, as wholes: of what there is.
         let lit = light.iter().filter(|l| **l > 0.0).count() as f64;
@@ -310,17 +310,18 @@ pub fn figure(fig: &mut Figure) -> Result {
     };
     let (wrapped, pixels, steps) = measured(true)?;
     let (plain, pixels_plain, steps_plain) = measured(false)?;
-    let (a, b) = (Estimate::of(wrapped), Estimate::of(plain));
-    let z = [a, b].map(|e| (e.mean - 1.0) / e.error);
+    let (a, b) = (Estimate::of(&wrapped), Estimate::of(&plain));
+    let z = [a, b].map(|e| e.z(&Estimate::exact(1.0)));
+    let limit = z_limit(2, each, 1e-3);
     fig.check(
         "both have the mean of all solutions",
-        z.iter().all(|z| z.abs() < 4.0) && a.error < 0.05 && b.error < 0.1,
+        z.iter().all(|z| z.abs() < limit) && a.se < 0.05 && b.se < 0.1,
         format!(
-            "{:.4} ± {:.4} and {:.4} ± {:.4} of it",
-            a.mean, a.error, b.mean, b.error
+            "{:.4} ± {:.4} and {:.4} ± {:.4} of it, deviates {z:.2?}, limit {limit:.2}",
+            a.mean, a.se, b.mean, b.se
         ),
     );
-    let gain = (b.error / a.error).powi(2);
+    let gain = (b.se / a.se).powi(2);
     fig.check(
         "wrapped, there is less noise, at equal samples and for the same number of steps",
         gain > 1.0 && gain * steps_plain > steps,

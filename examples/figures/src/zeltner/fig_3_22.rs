@@ -11,9 +11,9 @@ use render::manifold::Statistics;
 use render::params::Theta;
 use render::sampler::{Independent, Sampler};
 use render::scene::{GlintMethod, GlintRegion, GlintTechniques, GlintWeights, Glints};
+use render::statistics::{Estimate, z_limit};
 
 use super::glint_scenes::Slopes;
-use crate::statistics::Estimate;
 use examples::chart::Panel;
 use examples::figure::{Figure, Result};
 use examples::scene_builder::{SceneBuilder, View};
@@ -120,9 +120,8 @@ fn samples(
 /// Mean over pixels of the variance of a sample.
 fn variance(all: &[Vec<Found>], of: impl Fn(&Found) -> f64) -> f64 {
     let one = |samples: &Vec<Found>| {
-        let n = samples.len() as f64;
-        let mean = samples.iter().map(&of).sum::<f64>() / n;
-        samples.iter().map(|f| (of(f) - mean).powi(2)).sum::<f64>() / (n - 1.0)
+        let mean = Estimate::of(&samples.iter().map(&of).collect::<Vec<_>>());
+        mean.se.powi(2) * samples.len() as f64
     };
     all.iter().map(one).sum::<f64>() / all.len() as f64
 }
@@ -160,21 +159,21 @@ pub fn figure(fig: &mut Figure) -> Result {
     let scattering = of(only(GlintTechniques::Scattering), 3, 16 * spp)?;
     let all = |f: &Found| f.light.iter().flatten().sum::<f64>();
     // ---- The same light ----
-    let estimate =
-        |found: &[Vec<Found>]| {
-            // Samples of equal index over all pixels are independent images.
-            let spp = found.first().map_or(0, Vec::len);
-            Estimate::of((0..spp).map(|i| {
-                found.iter().map(|pixel| all(&pixel[i])).sum::<f64>() / found.len() as f64
-            }))
-        };
+    let estimate = |found: &[Vec<Found>]| {
+        // Samples of equal index over all pixels are independent images.
+        let spp = found.first().map_or(0, Vec::len);
+        let image = |i| found.iter().map(|pixel| all(&pixel[i])).sum::<f64>() / found.len() as f64;
+        Estimate::of(&(0..spp).map(image).collect::<Vec<_>>())
+    };
     let (brute, sum, sum_by_lobe) = (estimate(&scattering), estimate(&both), estimate(&by_lobe));
     for (name, e) in [("densities", &sum), ("the lobe", &sum_by_lobe)] {
+        // Of two comparisons.
+        let limit = z_limit(2, spp, 1e-3);
         let ratio = e.mean / brute.mean;
-        let error = brute.error.hypot(e.error) / brute.mean;
+        let error = brute.se.hypot(e.se) / brute.mean;
         fig.check(
             format!("both techniques together find the light, weighed by {name}"),
-            (ratio - 1.0).abs() < f64::max(0.03, 4.0 * error) && error < fig.pick(0.1, 0.03),
+            (ratio - 1.0).abs() < f64::max(0.03, limit * error) && error < fig.pick(0.1, 0.03),
             format!("{ratio:.4} ± {error:.4} of what scattering alone finds"),
         );
     }

@@ -15,11 +15,12 @@ use render::instances::{Estimator, render_f32};
 use render::params::Theta;
 use render::scene::{Connections, Method};
 use render::shape::{Cylinder, Sphere};
+use render::statistics::z_limit;
 use render::{Job, Scene, Settings};
 
-use super::manifold_methods::{Effort, measure};
+use super::manifold_methods::{Effort, Measured, measure};
 use super::manifold_scenes::bumpy;
-use crate::statistics::{grey, limit, variance};
+use crate::statistics::{grey, variance};
 use examples::figure::{Figure, Result};
 use examples::scene_builder::{POSITIVE, SceneBuilder, View};
 
@@ -166,7 +167,7 @@ pub fn figure(fig: &mut Figure) -> Result {
         .series
         .pixels
         .iter()
-        .all(|e| e.mean == 0.0 && e.error == 0.0);
+        .all(|e| e.mean == 0.0 && e.se == 0.0);
     fig.check(
         "on smooth surfaces paths find none of this light, at all",
         nothing && chains.mean() > 0.0,
@@ -208,14 +209,14 @@ pub fn figure(fig: &mut Figure) -> Result {
         format!("{gain:.1} times"),
     );
     let (a, b) = (few.series.whole, many.series.whole);
-    let (z, bound) = (a.z(&b), limit(1, effort.runs, 1e-3));
+    let (z, bound) = (a.z(&b), z_limit(1, effort.runs, 1e-3));
     // In few samples paths hardly meet it.
     fig.check(
         "and both bring the same light",
-        z.abs() < bound && b.error < fig.pick(1.0, 0.25) * a.mean,
+        z.abs() < bound && b.se < fig.pick(1.0, 0.25) * a.mean,
         format!(
             "{:.4} ± {:.4} by connections, {:.4} ± {:.4} by paths, deviate {z:.2}, limit {bound:.2}",
-            a.mean, a.error, b.mean, b.error
+            a.mean, a.se, b.mean, b.se
         ),
     );
     let rough = shop(size, Some(ROUGH), 6)?;
@@ -223,14 +224,15 @@ pub fn figure(fig: &mut Figure) -> Result {
         of(7, &rough, false, spp)?,
         of(8, &rough, true, fig.pick(128, 64) * spp)?,
     );
+    let repeats = Measured::repeats(&[&a, &b]);
     let (a, b) = (a.whole(), b.whole());
-    let z = a.z(&b);
+    let (z, bound) = (a.z(&b), z_limit(1, repeats, 1e-3));
     fig.check(
         "on rough ones, where paths converge, both bring the same light",
-        z.abs() < 4.0 && a.error < 0.1 * a.mean && b.error < fig.pick(0.25, 0.1) * b.mean,
+        z.abs() < bound && a.se < 0.1 * a.mean && b.se < fig.pick(0.25, 0.1) * b.mean,
         format!(
-            "{:.4} ± {:.4} by connections, {:.4} ± {:.4} by paths, deviate {z:.2}, at most 4",
-            a.mean, a.error, b.mean, b.error
+            "{:.4} ± {:.4} by connections, {:.4} ± {:.4} by paths, deviate {z:.2}, limit {bound:.2}",
+            a.mean, a.se, b.mean, b.se
         ),
     );
     let factor = fig.pick(10, 4);

@@ -4,10 +4,11 @@
 //! What one walk misses is found by paths, or left out, as where figure 3.9 discards outliers: those are what paths find of it.
 
 use render::scene::{Method, Starts};
+use render::statistics::z_limit;
 
 use super::authors::{Authors, compare as compare_ways, compare_methods};
 use super::manifold_comparison::compare;
-use super::manifold_methods::{Effort, measure, single};
+use super::manifold_methods::{Effort, Measured, measure, single};
 use super::manifold_scenes::{Waves, pool};
 use crate::statistics::check_same;
 use examples::figure::{Figure, Result};
@@ -55,13 +56,14 @@ pub fn figure(fig: &mut Figure) -> Result {
     let pair = [&chains.series, &paths.series];
     let statement = "under a wide lamp unbiased estimates and paths agree, whose light is in water";
     check_same(fig, &[statement], pair, effort.runs, 1e-3);
+    let limit = z_limit(1, Measured::repeats(&[&chains, &paths]), 1e-3);
     let (a, b) = (chains.whole(), paths.whole());
-    let (ratio, error) = (a.mean / b.mean, (a.error / a.mean).hypot(b.error / b.mean));
+    let (ratio, error) = (a.mean / b.mean, (a.se / a.mean).hypot(b.se / b.mean));
     fig.check(
         "so the squared index is in it once",
-        (ratio - 1.0).abs() < 4.0 * error && error < 0.1,
+        (ratio - 1.0).abs() < limit * error && error < 0.1,
         format!(
-            "{ratio:.4} ± {error:.4}; without it, or with it twice, the ratio would be 1.77 off"
+            "{ratio:.4} ± {error:.4}, limit {limit:.2} of these; without it, or with it twice, the ratio would be 1.77 off"
         ),
     );
     published(fig)
@@ -87,7 +89,7 @@ fn published(fig: &mut Figure) -> Result {
     let [share, error] = found.share(0);
     fig.check(
         "authors' pool: one walk brings no more than there is",
-        share < 1.0 + 4.0 * error,
+        share < 1.0 + z_limit(1, effort.runs, 1e-2) * error,
         format!("{share:.3} ± {error:.3} of it"),
     );
     Ok(())

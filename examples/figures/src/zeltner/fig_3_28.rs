@@ -6,11 +6,11 @@ use render::Scene;
 use render::bsdf::microfacet::Ndf;
 use render::bsdf::{Conductor, Material, RoughConductor, Roughness};
 use render::scene::{Connections, Method, Starts};
+use render::statistics::z_limit;
 
 use super::authors::{Authors, compare};
 use super::manifold_methods::{Effort, Measured, measure, single};
 use super::manifold_scenes::mirrored;
-use crate::statistics::limit;
 use examples::chart::LineChart;
 use examples::figure::{Figure, Result};
 
@@ -171,10 +171,10 @@ fn same_light(fig: &mut Figure, rows: &[Row], size: u32, runs: u64) {
         a.z(&b)
     });
     let z: Vec<f64> = z.collect();
-    let errors = rows.iter().map(|r| means(r)[1].error / means(r)[0].mean);
+    let errors = rows.iter().map(|r| means(r)[1].se / means(r)[0].mean);
     let errors: Vec<f64> = errors.collect();
     let most = fig.pick(0.25, 0.1);
-    let bound = limit(rows.len(), runs, 1e-3);
+    let bound = z_limit(rows.len(), runs, 1e-3);
     fig.check(
         "both bring the same light at every roughness",
         z.iter().all(|z| z.abs() < bound) && errors.iter().all(|e| *e < most),
@@ -182,7 +182,7 @@ fn same_light(fig: &mut Figure, rows: &[Row], size: u32, runs: u64) {
     );
     let blocks = (size as usize / 4).pow(2);
     let compared: Vec<&Row> = rows.iter().filter(|r| r.alpha >= NEARLY).collect();
-    let bound = limit(blocks * compared.len(), runs, 1e-3);
+    let bound = z_limit(blocks * compared.len(), runs, 1e-3);
     let worst = compared.iter().map(|r| {
         let blocks = r.chains.series.blocks.iter().zip(&r.paths.series.blocks);
         blocks.map(|(a, b)| a.z(b).abs()).fold(0.0, f64::max)

@@ -17,11 +17,11 @@ use render::instances::{Estimator, render_f32};
 use render::manifold::Statistics;
 use render::params::Theta;
 use render::scene::{GlintMethod, Glints};
+use render::statistics::{Estimate, z_limit};
 use render::{Job, Scene, Settings};
 
 use super::authors::Authors;
 use super::glint_scenes::{Slopes, smooth_metal};
-use crate::statistics::Estimate;
 use examples::chart::{LineChart, Panel};
 use examples::figure::{Figure, Result};
 use examples::scene_builder::{SceneBuilder, View};
@@ -122,14 +122,15 @@ fn measure(scene: &Scene, glints: Option<Glints>, seed: u64, runs: u64, spp: u64
     let seconds = start.elapsed().as_secs_f64();
     let n = images[0].len();
     let pixels: Vec<Estimate> = (0..n)
-        .map(|p| Estimate::of(images.iter().map(|i| i[p])))
+        .map(|p| Estimate::of(&images.iter().map(|i| i[p]).collect::<Vec<_>>()))
         .collect();
-    let mean = Estimate::of(images.iter().map(|i| i.iter().sum::<f64>() / n as f64));
+    let mean = images.iter().map(|i| i.iter().sum::<f64>() / n as f64);
+    let mean = Estimate::of(&mean.collect::<Vec<_>>());
     Measured {
         mean,
         variance: pixels
             .iter()
-            .map(|e| e.error.powi(2) * runs as f64)
+            .map(|e| e.se.powi(2) * runs as f64)
             .sum::<f64>()
             / n as f64,
         seconds,
@@ -252,11 +253,12 @@ fn noise(
         of_one < 1.5,
         format!("its variance is {of_one:.3} of that of paths"),
     );
+    let limit = z_limit(1, RUNS, 1e-2);
     let ratio = walks.mean.mean / paths.mean.mean;
-    let error = walks.mean.error.hypot(paths.mean.error) / paths.mean.mean;
+    let error = walks.mean.se.hypot(paths.mean.se) / paths.mean.mean;
     fig.check(
         format!("{name}: the light is that of paths"),
-        (ratio - 1.0).abs() < f64::max(0.03, 4.0 * error) && error < 0.1,
+        (ratio - 1.0).abs() < f64::max(0.03, limit * error) && error < 0.1,
         format!("{ratio:.4} ± {error:.4}"),
     );
     let rows = [&walks, &paths, &histogram].map(|m| [m.mean.mean, m.variance, m.seconds]);
@@ -300,8 +302,8 @@ fn footprints(fig: &mut Figure, slopes: &Slopes, size: u32) -> Result {
             old.mean.mean,
             per(&ours.statistics),
             per(&old.statistics),
-            ours.mean.error,
-            trial_set.mean.error,
+            ours.mean.se,
+            trial_set.mean.se,
             outlier(&trial_set.pixels),
             outlier(&old.pixels),
         ]);
@@ -402,11 +404,12 @@ fn published(fig: &mut Figure) -> Result {
     let [walks, sets, old] = [(unbiased, 4 * spp), (sets, spp), (old, spp)]
         .map(|(glints, spp)| measure(&scene, Some(glints), 2 * SEED, RUNS, spp));
     let gain = paths.variance * paths.seconds / (walks.variance * walks.seconds);
+    let limit = z_limit(1, RUNS, 1e-2);
     let ratio = walks.mean.mean / paths.mean.mean;
-    let error = walks.mean.error.hypot(paths.mean.error) / paths.mean.mean;
+    let error = walks.mean.se.hypot(paths.mean.se) / paths.mean.mean;
     fig.check(
         "authors' shoes: the light is that of paths, and walks find some of it",
-        (ratio - 1.0).abs() < f64::max(0.03, 4.0 * error)
+        (ratio - 1.0).abs() < f64::max(0.03, limit * error)
             && error < 0.1
             && walks.statistics.found > 0,
         format!(
@@ -432,7 +435,7 @@ fn published(fig: &mut Figure) -> Result {
         Panel::false_colour(label, side as usize, &values, 0.0, 3.0).enlarged(256 / side as usize)
     });
     fig.images("authors-shoes", 2, &panels);
-    let rows = all.map(|(_, m)| [m.mean.mean, m.mean.error, m.variance, m.seconds]);
+    let rows = all.map(|(_, m)| [m.mean.mean, m.mean.se, m.variance, m.seconds]);
     fig.csv(
         "authors-shoes",
         &["mean", "error", "variance", "seconds"],

@@ -2,11 +2,12 @@
 
 use render::manifold::Statistics;
 use render::scene::{Method, Starts};
+use render::statistics::z_limit;
 
 use super::authors::{Authors, compare};
 use super::manifold_methods::{Effort, Measured, measure, single};
 use super::manifold_scenes::{glass, half_ball};
-use crate::statistics::{check_same, limit};
+use crate::statistics::check_same;
 use examples::figure::{Figure, Result};
 
 const SEED: u64 = 38;
@@ -60,7 +61,7 @@ pub fn figure(fig: &mut Figure) -> Result {
         format!("{missed} of {met}"),
     );
     let z = both.series.whole.z(&all.series.whole);
-    let limit = limit(1, effort.runs, 1e-3);
+    let limit = z_limit(1, effort.runs, 1e-3);
     fig.check(
         "with paths for these, all light is found",
         z.abs() < limit,

@@ -7,11 +7,12 @@ use ad_core::{Dual, Real, Vec3};
 use rayon::prelude::*;
 use render::bsdf::microfacet::{Microfacet, Ndf};
 use render::math::Ray;
+use render::statistics::z_limit;
 use render::{Image, Scene};
 
 use super::radiance_split::radiance;
 use crate::common_scenes::{CORNELL_LAMP, Walls, cornell};
-use crate::zeltner::integration_1d::Moments;
+use crate::statistics::Moments;
 use examples::chart::Panel;
 use examples::figure::{Figure, Result};
 use examples::scene_builder::{add, dot, sub, unit};
@@ -269,6 +270,7 @@ fn lamp_share(fig: &mut Figure, scene: &Scene, outline: &[Vec3<f64>]) {
             .sum();
         twice * D::c(0.5)
     };
+    let limit = z_limit(2 * ALPHAS.len(), n, 1e-3);
     for alpha in ALPHAS {
         let exact = area(&|w| preimage(w, alpha));
         let exact = if exact.re < 0.0 { -exact } else { exact };
@@ -293,16 +295,20 @@ fn lamp_share(fig: &mut Figure, scene: &Scene, outline: &[Vec3<f64>]) {
             format!(
                 "alpha {alpha}: the area within the lamp's outline is the share of rays that hit it"
             ),
-            hits.z(share).abs() < 4.0,
-            format!("{share:.5} and {:.5} ± {:.5}", hits.mean, hits.error()),
+            hits.z(share).abs() < limit,
+            format!(
+                "{share:.5} and {:.5} ± {:.5}, limit {limit:.2} of these",
+                hits.mean,
+                hits.of_mean().se
+            ),
         );
         fig.check(
             format!("alpha {alpha}: its derivative, by motion of the outline alone, is the detached estimate"),
-            detached.z(slope).abs() < 4.0 && detached.z(0.0).abs() > 8.0,
+            detached.z(slope).abs() < limit && detached.z(0.0).abs() > 8.0,
             format!(
                 "{slope:.5} and {:.5} ± {:.5}; attached samples that ignore the edge find 0",
                 detached.mean,
-                detached.error()
+                detached.of_mean().se
             ),
         );
     }

@@ -4,12 +4,14 @@ use std::f64::consts::{PI, TAU};
 
 use ad_core::Real;
 use render::sampler::Sampler;
+use render::statistics::{sidak, z_limit};
 
 use super::exact_moments::exact;
-use super::integration_1d::{Density, Histogram, Moments, integrate, positions};
+use super::integration_1d::{Density, Histogram, integrate, positions};
 use super::taxonomy::{
     D, Integrand, Lobe, Sampling, Technique, Wrapped, WrappedNormal, differential, estimate,
 };
+use crate::statistics::Moments;
 use examples::chart::LineChart;
 use examples::figure::{Figure, Result};
 
@@ -47,12 +49,13 @@ pub fn figure(fig: &mut Figure) -> Result {
             .map(|i| lobe.sample(render::sampler::Independent::new(seed, 0, i).next_1d()))
             .collect();
         let histogram = Histogram::of(&samples, lobe);
+        let (test, least) = (histogram.test, sidak(lobes.len(), 1e-3));
         fig.check(
             format!("{name}: samples follow the density"),
-            histogram.deviate.abs() < 4.0,
+            test.p_value > least,
             format!(
-                "chi-square deviate {:.2}, at most 4 ({n} samples)",
-                histogram.deviate
+                "p-value {:.3}, at least {least:.4}, chi-square deviate {:.2} ({n} samples)",
+                test.p_value, test.deviate
             ),
         );
     }
@@ -101,11 +104,11 @@ pub fn figure(fig: &mut Figure) -> Result {
     let std = paired.variance().sqrt();
     fig.check(
         "under light 1 + 0.9 cos x: the pair is unbiased and varies less than a fifth of p = f",
-        paired.z(truth).abs() < 4.0 && std < 0.2 * plain.1,
+        paired.z(truth).abs() < z_limit(1, n, 1e-3) && std < 0.2 * plain.1,
         format!(
             "{:.5} ± {:.5}, true {truth:.5}; std {std:.3} against {:.3}",
             paired.mean,
-            paired.error(),
+            paired.of_mean().se,
             plain.1
         ),
     );

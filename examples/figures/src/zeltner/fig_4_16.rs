@@ -5,19 +5,20 @@ use std::f64::consts::{FRAC_PI_2, TAU};
 use ad_core::Vec3;
 use render::bsdf::DiffLobe;
 use render::sampler::{Independent, Sampler};
+use render::statistics::sidak;
 
 use super::differential_normals::{ALPHA, KINDS, angle, direction, part, surface};
 use super::integration_1d::integrate;
-use crate::statistics::deviate;
+use crate::statistics::ChiSquare;
 use examples::chart::Panel;
 use examples::figure::{Figure, Result};
 
 /// Cells of the chi-square test in elevation (equal steps of the angle) and azimuth.
 const CELLS: [usize; 2] = [40, 12];
 
-/// Chi-square deviates of normals against `density` of the angle: of both coordinates, and of azimuth
+/// Chi-square tests of normals against `density` of the angle: of both coordinates, and of azimuth
 /// alone.
-fn test(normals: &[Vec3<f64>], density: impl Fn(f64) -> f64) -> [f64; 2] {
+fn test(normals: &[Vec3<f64>], density: impl Fn(f64) -> f64) -> [ChiSquare; 2] {
     let mut counts = vec![0.0; CELLS[0] * CELLS[1]];
     let step = FRAC_PI_2 / CELLS[0] as f64;
     let cell = |x: f64, m: usize| (x as usize).min(m - 1);
@@ -30,29 +31,25 @@ fn test(normals: &[Vec3<f64>], density: impl Fn(f64) -> f64) -> [f64; 2] {
     let n = normals.len() as f64;
     // Not to the pole of the tangent.
     let edge = |i: usize| (step * i as f64).min(FRAC_PI_2 - 1e-9);
-    let (mut statistic, mut freedom) = (0.0, -1.0);
-    let mut pool = [0.0; 2];
+    let mut bins = Vec::new();
+    let mut pool = (0.0, 0.0);
     for (i, row) in counts.chunks(CELLS[1]).enumerate() {
         // The densities have a kink at atan alpha: short steps.
         let expected = n / CELLS[1] as f64 * integrate([edge(i), edge(i + 1)], 2000, &density);
         for count in row {
-            pool = [pool[0] + count, pool[1] + expected];
-            if pool[1] >= 5.0 {
-                statistic += (pool[0] - pool[1]).powi(2) / pool[1];
-                freedom += 1.0;
-                pool = [0.0; 2];
+            pool = (pool.0 + count, pool.1 + expected);
+            if pool.1 >= 5.0 {
+                bins.push(pool);
+                pool = (0.0, 0.0);
             }
         }
     }
     let azimuth = (0..CELLS[1]).map(|j| {
         let count: f64 = counts.iter().skip(j).step_by(CELLS[1]).sum();
-        let expected = n / CELLS[1] as f64;
-        (count - expected).powi(2) / expected
+        (count, n / CELLS[1] as f64)
     });
-    [
-        deviate(statistic, freedom),
-        deviate(azimuth.sum(), CELLS[1] as f64 - 1.0),
-    ]
+    let azimuth: Vec<_> = azimuth.collect();
+    [&bins, &azimuth].map(|bins| ChiSquare::of(bins))
 }
 
 /// `zeltner-4-16`.
@@ -67,8 +64,8 @@ pub fn figure(fig: &mut Figure) -> Result {
             .map(|i| f(Independent::new(seed, 0, i).next_2d()))
             .collect()
     };
-    // Six two-sided tests, twice, at 4 standard deviations: significance 8e-4 together.
-    let limit = 4.0;
+    // Of three densities for each kind.
+    let least = sidak(2 * 3 * KINDS.len(), 1e-3);
     let near = |normals: &[Vec3<f64>]| {
         let close = normals
             .iter()
@@ -99,12 +96,15 @@ pub fn figure(fig: &mut Figure) -> Result {
         for (label, [both, azimuth]) in tests {
             fig.check(
                 format!("{label}: samples follow their density, azimuth uniform"),
-                both.abs() < limit && azimuth.abs() < limit,
+                both.p_value > least && azimuth.p_value > least,
                 format!(
-                    "chi-square deviates {both:.2} and {azimuth:.2}, at most {limit} ({n} samples)"
+                    "p-values {:.3} and {:.3}, at least {least:.5}, chi-square deviates {:.2} and {:.2} ({n} samples)",
+                    both.p_value, azimuth.p_value, both.deviate, azimuth.deviate
                 ),
             );
-            table.push([label, both.to_string(), azimuth.to_string()]);
+            let deviates = [both, azimuth].map(|test| test.deviate.to_string());
+            let [both, azimuth] = deviates;
+            table.push([label, both, azimuth]);
         }
         let shares = [near(&primal), near(&parts[0]), near(&parts[1])];
         fig.check(

@@ -8,8 +8,9 @@ use render::Scene;
 use render::bsdf::microfacet::Ndf;
 use render::bsdf::{Interpolation, Material, NormalMap};
 use render::instances::{Direction, Estimator};
+use render::statistics::{Estimate, z_limit};
 
-use crate::statistics::{Estimate, Series, blocks, grey, limit};
+use crate::statistics::{Series, blocks, grey};
 use examples::chart::Panel;
 use examples::figure::{Figure, Result};
 use examples::ranks::percentile;
@@ -266,7 +267,7 @@ pub fn figure(fig: &mut Figure) -> Result {
                     format!("{place:?}").to_lowercase(),
                     e.name().to_owned(),
                     b.mean.to_string(),
-                    b.error.to_string(),
+                    b.se.to_string(),
                     b.z(&found.blocks[REFERENCE][i]).to_string(),
                 ]);
             }
@@ -287,7 +288,7 @@ fn judge(fig: &mut Figure, edge: Edge, places: &[Place], found: &Found, effort: 
                 (if z.abs() > most.abs() { z } else { most }, n + 1)
             })
     };
-    let limit = |n: usize| limit(n.max(1), effort.runs, LEVEL);
+    let limit = |n: usize| z_limit(n.max(1), effort.runs, LEVEL);
     for k in [1, REPARAMETERISED] {
         let (z, n) = largest(k, REFERENCE, None);
         fig.check(

@@ -11,12 +11,12 @@ use rayon::prelude::*;
 use render::Job;
 use render::auto;
 use render::instances::{Direction, Estimator, Mode};
-use render::statistics::z_limit;
+use render::statistics::{Estimate, z_limit};
 use render::{RenderError, Scene};
 
 use crate::common_scenes::{LAMP_RADII, Plates, textured_plates};
 use crate::differences::central;
-use crate::statistics::grey;
+use crate::statistics::{grey, variance};
 use examples::chart::Panel;
 use examples::figure::{Figure, Result};
 use examples::ranks::median;
@@ -45,30 +45,20 @@ const COMBINED: [[usize; 3]; 3] = [[4, 0, 1], [5, 0, 2], [6, 0, 3]];
 /// Mean over the pixels of a window, its standard error, and the standard deviation of a pixel for one unit of work.
 #[derive(Clone, Copy, Debug, Default)]
 struct Cell {
-    mean: f64,
-    error: f64,
+    mean: Estimate,
     std: f64,
 }
 
 impl Cell {
     /// From independent images of the window, each with `work` per pixel.
     fn of(images: &[Vec<f64>], work: f64) -> Self {
-        let n = images.len() as f64;
-        let pixels = images[0].len();
-        let average = |image: &Vec<f64>| image.iter().sum::<f64>() / pixels as f64;
-        let means: Vec<f64> = images.iter().map(average).collect();
-        let mean = means.iter().sum::<f64>() / n;
-        let spread = means.iter().map(|m| (m - mean).powi(2)).sum::<f64>() / (n - 1.0);
-        let mut variance = 0.0;
-        for p in 0..pixels {
-            let mean = images.iter().map(|im| im[p]).sum::<f64>() / n;
-            let squares = images.iter().map(|im| (im[p] - mean).powi(2));
-            variance += squares.sum::<f64>() / (n - 1.0) / pixels as f64;
-        }
+        let pixels = images[0].len() as f64;
+        let means = images
+            .iter()
+            .map(|image| image.iter().sum::<f64>() / pixels);
         Self {
-            mean,
-            error: (spread / n).sqrt(),
-            std: (variance * work).sqrt(),
+            mean: Estimate::of(&means.collect::<Vec<_>>()),
+            std: (variance(images) / pixels * work).sqrt(),
         }
     }
 }
@@ -183,8 +173,7 @@ fn agreement(fig: &mut Figure, found: &[Grid], reference: &Grid, runs: u64) {
     for (k, grid) in found.iter().enumerate().take(NAIVE) {
         for (i, row) in grid.iter().enumerate() {
             for (j, c) in row.iter().enumerate() {
-                let r = reference[i][j];
-                let z = (c.mean - r.mean) / c.error.hypot(r.error);
+                let z = c.mean.z(&reference[i][j].mean);
                 if z.abs() > largest.0.abs() {
                     largest = (z, k, i, j);
                 }
@@ -291,12 +280,12 @@ fn table(fig: &mut Figure, found: &[Grid], reference: &Grid, costs: [f64; COLUMN
                     e.name().to_owned(),
                     ALPHAS[i].to_string(),
                     LAMP_RADII[j].to_string(),
-                    cell.mean.to_string(),
-                    cell.error.to_string(),
+                    cell.mean.mean.to_string(),
+                    cell.mean.se.to_string(),
                     cell.std.to_string(),
                     (cell.std / cost.sqrt()).to_string(),
-                    r.mean.to_string(),
-                    r.error.to_string(),
+                    r.mean.mean.to_string(),
+                    r.mean.se.to_string(),
                 ]
             })
         });
@@ -336,7 +325,7 @@ pub fn figure(fig: &mut Figure) -> Result {
     // ---- (d) ----
     let magnitude = |grid: &Grid| {
         let all = grid.iter().flatten();
-        all.map(|c| c.mean.abs()).sum::<f64>() / 16.0
+        all.map(|c| c.mean.mean.abs()).sum::<f64>() / 16.0
     };
     let naive = magnitude(&found[NAIVE]) / magnitude(&reference);
     fig.check(

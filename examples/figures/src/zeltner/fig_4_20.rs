@@ -4,11 +4,12 @@
 use ad_core::Vec3;
 use render::Job;
 use render::instances::{Direction, Estimator};
+use render::statistics::z_limit;
 use render::{RenderError, Scene};
 
 use crate::common_scenes::{TRAY, TRAY_LAMPS, tray};
 use crate::differences::central;
-use crate::statistics::{Series, grey, limit};
+use crate::statistics::{Series, grey};
 use examples::chart::Panel;
 use examples::figure::{Figure, Result};
 use examples::ranks::{median, percentile};
@@ -197,7 +198,7 @@ impl Trial {
         let samples = (self.effort.runs * self.effort.spp) as f64;
         let pairs = self.found[k].pixels.iter().zip(&self.map);
         let chosen = pairs.filter(|(_, s)| of(s));
-        let (sum, n) = chosen.fold((0.0, 0.0), |(sum, n), (e, _)| (sum + e.error, n + 1.0));
+        let (sum, n) = chosen.fold((0.0, 0.0), |(sum, n), (e, _)| (sum + e.se, n + 1.0));
         sum / n * samples.sqrt()
     }
 
@@ -211,7 +212,7 @@ impl Trial {
 
     fn unbiased(&self, fig: &mut Figure) {
         let n = self.reference.blocks.len();
-        let limit = limit(NAIVE * n, self.effort.runs, LEVEL);
+        let limit = z_limit(NAIVE * n, self.effort.runs, LEVEL);
         let zs: Vec<f64> = (0..ESTIMATORS.len()).map(|k| self.z(k)).collect();
         let list = |range: std::ops::Range<usize>| {
             let texts = range.map(|k| format!("{} {:.2}", ESTIMATORS[k].name(), zs[k]));
@@ -236,7 +237,7 @@ impl Trial {
     fn ratio(&self, a: usize, b: usize, of: impl Fn(&Seen) -> bool) -> f64 {
         let pairs = self.found[a].pixels.iter().zip(&self.found[b].pixels);
         let chosen = pairs.zip(&self.map).filter(|(_, s)| of(s));
-        let ratios = chosen.map(|((a, b), _)| a.error / b.error);
+        let ratios = chosen.map(|((a, b), _)| a.se / b.se);
         let ratios: Vec<f64> = ratios.filter(|r| r.is_finite()).collect();
         median(&ratios).unwrap_or(f64::NAN)
     }
@@ -276,7 +277,7 @@ impl Trial {
         let pixels = self.map.iter().filter(|s| all(s)).count();
         let better = pairs
             .zip(&self.map)
-            .filter(|((r, d), s)| all(s) && r.error < 0.5 * d.error)
+            .filter(|((r, d), s)| all(s) && r.se < 0.5 * d.se)
             .count();
         let overall = self.ratio(REPARAMETERISED, DIFFERENTIAL, all);
         fig.check(
@@ -364,7 +365,7 @@ impl Trial {
         let mut spreads = Vec::new();
         for (e, s) in ESTIMATORS.iter().zip(&self.found) {
             panels.push(signed(e.name(), &s.means(), scale));
-            let std: Vec<f64> = s.pixels.iter().map(|e| e.error * samples).collect();
+            let std: Vec<f64> = s.pixels.iter().map(|e| e.se * samples).collect();
             spreads.push(signed(&format!("std: {}", e.name()), &std, 20.0 * scale));
         }
         fig.images("derivatives", 4, &panels);

@@ -8,9 +8,10 @@ use render::bsdf::microfacet::Ndf;
 use render::instances::{Direction, Estimator};
 use render::params::Theta;
 use render::sampler::mix64;
+use render::statistics::{Estimate, z_limit};
 use render::{Image, Scene};
 
-use crate::statistics::{Estimate, blocks, limit};
+use crate::statistics::blocks;
 use examples::chart::{LineChart, Panel};
 use examples::figure::{Figure, Result};
 use examples::optimise::Problem;
@@ -303,7 +304,7 @@ fn agree(fig: &mut Figure, condition: Condition, setup: &mut Setup) -> Result {
         (DIFFERENTIAL, ATTACHED),
     ];
     let n = gradients[0].len();
-    let limit = limit(pairs.len() * n, runs, 1e-3);
+    let limit = z_limit(pairs.len() * n, runs, 1e-3);
     let mut worst = (0.0f64, pairs[0], 0);
     for (a, b) in pairs {
         for (i, (x, y)) in gradients[a].iter().zip(&gradients[b]).enumerate() {
@@ -317,10 +318,10 @@ fn agree(fig: &mut Figure, condition: Condition, setup: &mut Setup) -> Result {
     // The gradient itself in standard errors: how small a difference the data could have shown.
     let strongest = gradients[DIFFERENTIAL]
         .iter()
-        .map(|g| g.mean.abs() / g.error)
+        .map(|g| g.mean.abs() / g.se)
         .fold(0.0, f64::max);
     let noise = |k: usize| {
-        let squares = gradients[k].iter().map(|g| g.error * g.error).sum::<f64>();
+        let squares = gradients[k].iter().map(|g| g.se * g.se).sum::<f64>();
         squares.sqrt()
     };
     let noise = [DIFFERENTIAL, ATTACHED].map(|k| noise(k) / noise(DETACHED));

@@ -24,9 +24,10 @@ use render::math::{Frame, Ray};
 use render::params::Theta;
 use render::sampler::{Independent, Points, Sampler};
 use render::scene::Intersection;
+use render::statistics::{Estimate, z_limit};
 use render::{Image, Job, RenderError, Scene};
 
-use crate::statistics::{Estimate, grey, limit};
+use crate::statistics::grey;
 use examples::chart::{LineChart, Panel};
 use examples::figure::{Figure, Result};
 use examples::memory;
@@ -758,29 +759,30 @@ fn same_estimator(fig: &mut Figure) -> Result {
     let seed = SEED + (1 << 20);
     let tape = all.map(|k| product_by_tape(&small, seed + k, spp, &adjoint, usize::MAX).0);
     let tape: Vec<f64> = tape.collect();
-    let [a, b] = [&paths, &tape].map(|v| Estimate::of(v.iter().copied()));
+    let [a, b] = [&paths, &tape].map(|v| Estimate::of(v));
     let z = a.z(&b);
-    let most = limit(1, runs, LEVEL);
+    let most = z_limit(1, runs, LEVEL);
     // A quick run does not tell the derivative well from zero.
     let sure = fig.pick(0.5, 0.1);
     fig.check(
         "both have the same derivative",
-        z.abs() < most && a.error <= sure * a.mean.abs(),
+        z.abs() < most && a.se <= sure * a.mean.abs(),
         format!(
             "{:.5e} +- {:.1e} and {:.5e} +- {:.1e}, z {z:.2}",
-            a.mean, a.error, b.mean, b.error
+            a.mean, a.se, b.mean, b.se
         ),
     );
     // Logarithms of variances of groups, which say how well they are known.
     let logs = |v: &[f64]| {
-        let variance = |group: &[f64]| Estimate::of(group.iter().copied()).error.powi(2).ln();
-        Estimate::of(v.chunks_exact(v.len() / GROUPS).map(variance))
+        let variance = |group: &[f64]| Estimate::of(group).se.powi(2).ln();
+        let groups = v.chunks_exact(v.len() / GROUPS).map(variance);
+        Estimate::of(&groups.collect::<Vec<_>>())
     };
     let [l, m] = [&paths, &tape].map(|v| logs(v));
-    let ratio = (a.error / b.error).powi(2);
-    let error = l.error.hypot(m.error);
+    let ratio = (a.se / b.se).powi(2);
+    let error = l.se.hypot(m.se);
     let within = fig.pick(
-        1.2f64.ln().hypot(limit(1, GROUPS as u64, LEVEL) * error),
+        1.2f64.ln().hypot(z_limit(1, GROUPS as u64, LEVEL) * error),
         1.2f64.ln(),
     );
     fig.check(
@@ -983,15 +985,15 @@ pub fn figure(fig: &mut Figure) -> Result {
     let rounds = fig.pick(8, 12);
     let per_sample = |spp: u64| bench.tape(spp, known).0.0 / bench.samples(spp);
     let ratios = (0..rounds).map(|_| per_sample(last.spp) / per_sample(whole.spp));
-    let found = Estimate::of(ratios);
+    let found = Estimate::of(&ratios.collect::<Vec<_>>());
     fig.note(
         "time of a sample of the tape in several passes, over that in one, and its error",
-        vec![found.mean, found.error],
+        vec![found.mean, found.se],
     );
     say!(
         "        a sample of the tape takes {:.3} +- {:.3} times as long in {} passes as in one",
         found.mean,
-        found.error,
+        found.se,
         last.passes
     );
     Ok(())

@@ -9,11 +9,11 @@ use render::instances::{Estimator, render_f32};
 use render::integrator::gradient::Active;
 use render::params::Theta;
 use render::sampler::mix64;
-use render::statistics::z_limit;
+use render::statistics::{Estimate, z_limit};
 use render::{Image, Job, RenderError, Scene};
 
 use crate::common_scenes::{BISHOP, PAWN, ROOK, table};
-use crate::statistics::{Estimate, per_pixel};
+use crate::statistics::per_pixel;
 use examples::chart::{LineChart, Panel};
 use examples::figure::{Figure, Result};
 use examples::optimise::{Algorithm, Problem, Target};
@@ -320,9 +320,8 @@ fn gradients(fig: &mut Figure, search: &Search) -> Result {
         }
         let [up, down] = &sides;
         let pairs = up.iter().zip(down);
-        differences.push(Estimate::of(
-            pairs.map(|(a, b)| (a - b) / (2.0 * f64::from(h))),
-        ));
+        let each = pairs.map(|(a, b)| (a - b) / (2.0 * f64::from(h)));
+        differences.push(Estimate::of(&each.collect::<Vec<_>>()));
     }
     let limit = z_limit(9, runs, 1e-3);
     let (mut largest, mut fewest) = (0.0f64, f64::INFINITY);
@@ -333,11 +332,11 @@ fn gradients(fig: &mut Figure, search: &Search) -> Result {
         let size = sizes.fold(0.0, f64::max);
         for i in own {
             let (g, d) = (found[i], differences[i]);
-            let error = g.error.hypot(d.error);
+            let error = g.se.hypot(d.se);
             let off = ((g.mean - d.mean).abs() - 0.02 * size).max(0.0);
             largest = largest.max(off / error);
             fewest = fewest.min(size / error);
-            rows.push([i as f64, g.mean, g.error, d.mean, d.error]);
+            rows.push([i as f64, g.mean, g.se, d.mean, d.se]);
         }
     }
     let header = ["parameter", "gradient", "error", "difference", "its error"];

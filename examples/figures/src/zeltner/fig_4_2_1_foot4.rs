@@ -1,10 +1,11 @@
 //! [Zeltner 2021, footnote 4]: which factors of a product may be attached on their own.
 
 use render::sampler::Sampler;
+use render::statistics::z_limit;
 
 use super::estimator_parts::DETECTED;
-use super::integration_1d::Moments;
 use super::taxonomy::{Power, Rising, expectation, partly_attached};
+use crate::statistics::Moments;
 use examples::chart::LineChart;
 use examples::figure::{Figure, Result};
 
@@ -42,7 +43,7 @@ pub fn figure(fig: &mut Figure) -> Result {
             f64::NEG_INFINITY
         };
         let found = if right {
-            z.abs() < 4.0
+            z.abs() < z_limit(1, n, 1e-3)
         } else {
             z.abs() > DETECTED
         };
@@ -57,11 +58,11 @@ pub fn figure(fig: &mut Figure) -> Result {
             format!(
                 "{mean:.6} by quadrature; {:.5} ± {:.5}, {:.1} standard errors from {truth}",
                 m.mean,
-                m.error(),
+                m.of_mean().se,
                 z
             ),
         );
-        let numbers = [mean, m.mean, m.error(), z].map(|v| v.to_string());
+        let numbers = [mean, m.mean, m.of_mean().se, z].map(|v| v.to_string());
         let [a, b, c, d] = numbers;
         rows.push([label, a, b, c, d]);
     }

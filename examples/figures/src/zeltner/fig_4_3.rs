@@ -5,10 +5,11 @@ use std::collections::BTreeMap;
 use render::instances::{Direction, Estimator, render_f32};
 use render::math::Ray;
 use render::params::Theta;
+use render::statistics::{Estimate, z_limit};
 use render::{Job, RenderError, Scene};
 
 use crate::common_scenes::chess;
-use crate::statistics::{Estimate, Series, check_same, grey, limit};
+use crate::statistics::{Series, check_same, grey};
 use examples::chart::Panel;
 use examples::figure::{Figure, Result};
 use examples::scene_builder::{picture, unit};
@@ -176,10 +177,11 @@ impl Places {
 /// The mean over some pixels, from independent images.
 fn mean(images: &[Vec<f64>], mask: &[bool]) -> Estimate {
     let count = mask.iter().filter(|m| **m).count().max(1) as f64;
-    Estimate::of(images.iter().map(|image| {
+    let means = images.iter().map(|image| {
         let own = image.iter().zip(mask).filter(|(_, m)| **m);
         own.map(|(v, _)| v).sum::<f64>() / count
-    }))
+    });
+    Estimate::of(&means.collect::<Vec<_>>())
 }
 
 /// Among blocks with some of these pixels: how many there are, and the lowest and highest of their means, in standard
@@ -283,7 +285,7 @@ fn reached(fig: &mut Figure, places: &Places, found: &[Vec<Vec<f64>>]) {
     ];
     for (statement, k, mask) in claims {
         let (count, [low, high]) = extremes(&found[k], mask, places.width);
-        let least = limit(count, RUNS, LEVEL);
+        let least = z_limit(count, RUNS, LEVEL);
         fig.check(
             statement,
             high.max(-low) > least,
@@ -301,7 +303,7 @@ fn lines(fig: &mut Figure, places: &Places, [edges, differences, interior]: [&[V
     let [left, right] = places.lines.each_ref();
     let [(first, [_, high]), (second, [low, _])] =
         [left, right].map(|line| extremes(&added, line, places.width));
-    let least = limit(first + second, RUNS, LEVEL);
+    let least = z_limit(first + second, RUNS, LEVEL);
     fig.check(
         "(f) outlines add lines, of one sign where the rook covers what is to the left of it, and of the other where it uncovers",
         high > least && low < -least,
@@ -309,7 +311,7 @@ fn lines(fig: &mut Figure, places: &Places, [edges, differences, interior]: [&[V
     );
     let [by_edges, by_differences, within] =
         [edges, differences, interior].map(|images| mean(images, left));
-    let least = limit(1, RUNS, LEVEL);
+    let least = z_limit(1, RUNS, LEVEL);
     fig.check(
         "(g) in the interior alone the line to the left is missing",
         by_differences.z(&within).abs() > least
@@ -317,11 +319,11 @@ fn lines(fig: &mut Figure, places: &Places, [edges, differences, interior]: [&[V
         format!(
             "{:.3} +- {:.3}; by edges {:.3} +- {:.3}, by differences {:.3} +- {:.3}",
             within.mean,
-            within.error,
+            within.se,
             by_edges.mean,
-            by_edges.error,
+            by_edges.se,
             by_differences.mean,
-            by_differences.error
+            by_differences.se
         ),
     );
 }

@@ -17,8 +17,8 @@ use render::math::Frame;
 use render::params::{Tangent, Theta};
 use render::sampler::{Independent, Points, Sampler};
 use render::shape::SurfaceCoordinates;
+use render::statistics::{Estimate, z_limit};
 
-use crate::statistics::{Estimate, limit};
 use examples::chart::LineChart;
 use examples::figure::{Figure, Result};
 use examples::scene_builder::{SceneBuilder, View};
@@ -260,33 +260,33 @@ pub fn figure(fig: &mut Figure) -> Result {
                 .into_par_iter()
                 .map(|run| derivative(way, rays, run, samples))
                 .collect();
-            Estimate::of(runs)
+            Estimate::of(&runs)
         })
     });
-    let most = limit(1, RUNS, LEVEL);
+    let most = z_limit(1, RUNS, LEVEL);
     let [ours, third, first] = &found;
     let list = |e: &[Estimate; 6]| {
         let texts = counts
             .iter()
             .zip(e)
-            .map(|(n, e)| format!("{n}: {:.3} +- {:.3}", e.mean, e.error));
+            .map(|(n, e)| format!("{n}: {:.3} +- {:.3}", e.mean, e.se));
         texts.collect::<Vec<_>>().join(", ")
     };
     fig.check(
         "the expectation of the quotient as the field: right from eight neighbours on, within 3 %",
         ours[2..]
             .iter()
-            .all(|e| (e.mean - 1.0).abs() < 0.03 + most * e.error),
+            .all(|e| (e.mean - 1.0).abs() < 0.03 + most * e.se),
         list(ours),
     );
     fig.check(
         "the quotient as printed, with power 3: at 16 neighbours a twentieth or more is missing, and less for more of them",
-        1.0 - third[3].mean > 0.05 + most * third[3].error && third[5].mean > third[2].mean,
+        1.0 - third[3].mean > 0.05 + most * third[3].se && third[5].mean > third[2].mean,
         list(third),
     );
     fig.check(
         "with the printed power 1, 64 neighbours do not help",
-        1.0 - first[5].mean > 0.1 + most * first[5].error,
+        1.0 - first[5].mean > 0.1 + most * first[5].se,
         list(first),
     );
 
@@ -343,15 +343,7 @@ pub fn figure(fig: &mut Figure) -> Result {
     fig.chart("neighbours", &chart);
     let rows = (0..counts.len()).map(|i| {
         let [a, b, c] = [ours[i], third[i], first[i]];
-        [
-            counts[i] as f64,
-            a.mean,
-            a.error,
-            b.mean,
-            b.error,
-            c.mean,
-            c.error,
-        ]
+        [counts[i] as f64, a.mean, a.se, b.mean, b.se, c.mean, c.se]
     });
     let names = [
         "neighbours",

@@ -1,5 +1,5 @@
-//! Monte Carlo integration in one dimension: densities, estimates with their standard errors, and
-//! the reference integrals that they are held against.
+//! Monte Carlo integration in one dimension: densities, histograms of their samples, and the integrals
+//! that estimates are held against.
 //!
 //! Densities are written over a scalar: with duals, [`Density::sample`] moves with the parameters of
 //! the density at a fixed random number.
@@ -7,9 +7,8 @@
 use std::f64::consts::PI;
 
 use ad_core::{Const, Float, Real};
-use render::sampler::{Independent, Sampler};
 
-use crate::statistics::deviate;
+use crate::statistics::ChiSquare;
 
 /// A density over an interval.
 pub trait Density<R: Real> {
@@ -176,65 +175,6 @@ impl<R: Real> Density<R> for Piecewise {
     }
 }
 
-/// Moments of independent samples.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Moments {
-    /// Number of samples.
-    pub n: f64,
-    /// Their mean.
-    pub mean: f64,
-    /// Sums of the second to fourth powers of the differences from the mean.
-    sums: [f64; 3],
-}
-
-impl Moments {
-    /// Adds a sample [Pébay 2008].
-    pub fn add(&mut self, x: f64) {
-        let before = self.n;
-        self.n += 1.0;
-        let n = self.n;
-        let d = (x - self.mean) / n;
-        let [s2, s3, s4] = self.sums;
-        let t = d * d * n * before;
-        self.mean += d;
-        self.sums = [
-            s2 + t,
-            s3 + t * d * (n - 2.0) - 3.0 * d * s2,
-            s4 + t * d * d * (n * n - 3.0 * n + 3.0) + 6.0 * d * d * s2 - 4.0 * d * s3,
-        ];
-    }
-
-    /// The moments of `n` samples `f(random numbers)`: a pure function of `seed` and `n`.
-    pub fn of(n: u64, seed: u64, mut f: impl FnMut(&mut Independent) -> f64) -> Self {
-        let mut moments = Self::default();
-        for i in 0..n {
-            moments.add(f(&mut Independent::new(seed, 0, i)));
-        }
-        moments
-    }
-
-    /// Variance of one sample.
-    pub fn variance(&self) -> f64 {
-        self.sums[0] / (self.n - 1.0)
-    }
-
-    /// Standard error of the mean.
-    pub fn error(&self) -> f64 {
-        (self.variance() / self.n).sqrt()
-    }
-
-    /// Standard error of the variance, from the fourth moment.
-    pub fn variance_error(&self) -> f64 {
-        let v = self.sums[0] / self.n;
-        ((self.sums[2] / self.n - v * v).max(0.0) / self.n).sqrt()
-    }
-
-    /// Distance of the mean from `expected` in standard errors.
-    pub fn z(&self, expected: f64) -> f64 {
-        (self.mean - expected) / self.error()
-    }
-}
-
 /// Integral by Simpson's rule on `2 n` equal steps.
 pub fn integrate([a, b]: [f64; 2], n: usize, f: impl Fn(f64) -> f64) -> f64 {
     let h = (b - a) / (2 * n) as f64;
@@ -254,8 +194,8 @@ pub fn positions([a, b]: [f64; 2], n: usize) -> impl Iterator<Item = f64> {
 pub struct Histogram {
     /// Centre of a cell, and measured density there.
     pub bars: Vec<(f64, f64)>,
-    /// Standard normal deviate of the chi-square statistic.
-    pub deviate: f64,
+    /// Whether they have the density.
+    pub test: ChiSquare,
 }
 
 impl Histogram {
@@ -272,14 +212,12 @@ impl Histogram {
         }
         let n = samples.len() as f64;
         let left = |i: usize| a + width * i as f64;
-        let statistic = counts.iter().enumerate().map(|(i, count)| {
-            let expected = n * (p.cdf(left(i + 1)) - p.cdf(left(i)));
-            (count - expected).powi(2) / expected
-        });
-        let deviate = deviate(statistic.sum(), Self::CELLS as f64 - 1.0);
+        let bins = counts.iter().enumerate();
+        let bins = bins.map(|(i, count)| (*count, n * (p.cdf(left(i + 1)) - p.cdf(left(i)))));
+        let test = ChiSquare::of(&bins.collect::<Vec<_>>());
         let bar = |(i, count): (usize, &f64)| (left(i) + 0.5 * width, count / (n * width));
         let bars = counts.iter().enumerate().map(bar).collect();
-        Self { bars, deviate }
+        Self { bars, test }
     }
 }
 
@@ -333,31 +271,5 @@ mod tests {
                 assert!((a - b).abs() < 1e-8, "{a} {b}");
             }
         }
-    }
-
-    #[test]
-    fn moments_of_a_few_numbers() {
-        let numbers = [1.0f64, 2.0, 4.0, 8.0, 16.0, 3.0, -5.0];
-        let mut m = Moments::default();
-        numbers.iter().for_each(|x| m.add(*x));
-        let n = numbers.len() as f64;
-        let mean = numbers.iter().sum::<f64>() / n;
-        let power = |k: i32| numbers.iter().map(|x| (x - mean).powi(k)).sum::<f64>() / n;
-        let variance_error = ((power(4) - power(2).powi(2)) / n).sqrt();
-        assert!((m.mean - mean).abs() < 1e-12);
-        assert!((m.variance() - power(2) * n / (n - 1.0)).abs() < 1e-12);
-        assert!((m.variance_error() - variance_error).abs() < 1e-10);
-    }
-
-    /// Mean, variance and their errors of uniform numbers: 1/2, 1/12, and a fourth moment of 1/80.
-    /// Two tests at 4 standard errors.
-    #[test]
-    fn moments_of_uniform_numbers() {
-        let n = 100_000;
-        let m = Moments::of(n, 1, |s| s.next_1d());
-        assert!(m.z(0.5).abs() < 4.0);
-        assert!((m.variance() - 1.0 / 12.0).abs() < 4.0 * m.variance_error());
-        let expected = ((1.0 / 80.0 - 1.0 / 144.0) / n as f64).sqrt();
-        assert!((m.variance_error() / expected - 1.0).abs() < 0.02);
     }
 }

@@ -8,9 +8,10 @@ use render::integrator::render::Rendering;
 use render::manifold::Statistics;
 use render::params::Theta;
 use render::scene::{Connections, Method, Starts};
+use render::statistics::Estimate;
 use render::{Job, RenderError, Scene, Settings};
 
-use crate::statistics::{Estimate, Series, grey};
+use crate::statistics::{Series, grey};
 use examples::chart::Panel;
 use examples::figure::{Figure, Result};
 
@@ -54,7 +55,7 @@ impl Measured {
 
     /// Variance of the mean of all runs, summed over the pixels.
     pub fn variance(&self) -> f64 {
-        let each = self.series.pixels.iter().map(|e| e.error * e.error);
+        let each = self.series.pixels.iter().map(|e| e.se * e.se);
         each.sum()
     }
 
@@ -62,15 +63,20 @@ impl Measured {
     pub fn whole(&self) -> Estimate {
         Estimate {
             mean: self.mean(),
-            error: self.variance().sqrt() / self.series.pixels.len() as f64,
+            se: self.variance().sqrt() / self.series.pixels.len() as f64,
         }
+    }
+
+    /// From how many repetitions the errors of all of these are known, at least.
+    pub fn repeats(all: &[&Self]) -> u64 {
+        let each = all.iter().map(|m| m.series.repeats());
+        each.min().unwrap_or(0)
     }
 
     /// Square of what it misses, summed over the pixels, against what is unbiased: noise of both is taken off.
     pub fn squared_bias(&self, unbiased: &Self) -> f64 {
         let pairs = self.series.pixels.iter().zip(&unbiased.series.pixels);
-        let each =
-            pairs.map(|(a, b)| (a.mean - b.mean).powi(2) - a.error * a.error - b.error * b.error);
+        let each = pairs.map(|(a, b)| (a.mean - b.mean).powi(2) - a.se * a.se - b.se * b.se);
         each.sum::<f64>().max(0.0)
     }
 

@@ -12,10 +12,11 @@ use render::estimator::{
     Reparameterised, Unbiased,
 };
 use render::instances::{Direction, Estimator};
+use render::statistics::{Estimate, z_limit};
 use render::{Image, Scene};
 
 use crate::differences::central;
-use crate::statistics::{Estimate, blocks, grey, limit, per_pixel};
+use crate::statistics::{blocks, grey, per_pixel};
 use examples::chart::Panel;
 use examples::figure::{Figure, Result};
 use examples::scene_builder::{SceneBuilder, View};
@@ -243,7 +244,7 @@ impl Trial {
             reference,
             found,
             strong,
-            limit: limit(tests, effort.runs, LEVEL),
+            limit: z_limit(tests, effort.runs, LEVEL),
         })
     }
 
@@ -447,7 +448,7 @@ fn report(fig: &mut Figure, trials: &[&Trial], valid: &[Estimator], biased: &[Es
             };
             let pairs = found.blocks.iter().zip(&t.reference.blocks).enumerate();
             pairs.map(move |(i, (f, r))| {
-                let numbers = [f.mean, f.error, r.mean, r.error, f.z(r)];
+                let numbers = [f.mean, f.se, r.mean, r.se, f.z(r)];
                 let [mean, error, reference, its, z] = numbers.map(|x| x.to_string());
                 let [scene, e, kind] = [t.name, e.name(), kind].map(str::to_owned);
                 [

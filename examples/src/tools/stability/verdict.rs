@@ -9,6 +9,7 @@ use render::estimator::{Capabilities, Failure, Failures, Motion};
 use render::instances::{Direction, Estimator, render_f32, render_f64};
 use render::params::Theta;
 use render::scene::LoadOptions;
+use render::statistics::{Estimate, z_limit};
 use render::{Scene, SceneError};
 use serde::Serialize;
 
@@ -57,7 +58,11 @@ pub struct Check {
 
 impl Check {
     fn z(&self) -> f64 {
-        (self.mean - self.truth) / self.error.max(f64::MIN_POSITIVE)
+        let found = Estimate {
+            mean: self.mean,
+            se: self.error,
+        };
+        found.z(&Estimate::exact(self.truth))
     }
 }
 
@@ -117,11 +122,9 @@ fn pixels(
     Ok(done.then(|| r.sums[1].iter().step_by(3).copied().collect()))
 }
 
-fn moments(values: &[f64]) -> [f64; 2] {
-    let n = values.len() as f64;
-    let mean = values.iter().sum::<f64>() / n;
-    let square = values.iter().map(|v| (v - mean).powi(2)).sum::<f64>();
-    [mean, (square / (n - 1.0)).sqrt()]
+/// Standard deviation of one value.
+fn deviation(values: &[f64]) -> f64 {
+    Estimate::of(values).se * (values.len() as f64).sqrt()
 }
 
 /// Everything that is not a sweep; what is done so far if interrupted.
@@ -161,7 +164,7 @@ pub fn probe(
             }
             all.extend(p);
         }
-        let [_, std] = moments(&all);
+        let std = deviation(&all);
         probes
             .largest
             .push((e.name(), [early / std, largest / std]));
@@ -176,7 +179,7 @@ pub fn probe(
         let key = "metal.specular_reflectance.value";
         let found = pixels(&setup.scene, key, e, seed ^ 0x39, 0..spp, interrupt)?;
         let Some(found) = found else { break };
-        let [_, std] = moments(&found);
+        let std = deviation(&found);
         if base == 0.0 {
             base = std;
         }
@@ -194,12 +197,12 @@ pub fn probe(
             interrupt,
         )?;
         let Some(found) = found else { break };
-        let [mean, std] = moments(&found);
+        let found = Estimate::of(&found);
         let n = (spp / 4) as f64;
         let check = Check {
             truth: furnace.truth.slope,
-            mean: mean / n,
-            error: (std / n / (found.len() as f64).sqrt()).hypot(furnace.truth.error),
+            mean: found.mean / n,
+            error: (found.se / n).hypot(furnace.truth.error),
         };
         let c = e.capabilities();
         if !c.study || c.failures.contains(Failure::AttachedRoulette) {
@@ -219,7 +222,6 @@ fn ladder(
     interrupt: &Interrupt,
 ) -> Result<(), ToolError> {
     const GROUPS: usize = 16;
-    let truth = setup.truth;
     let mut sums: Vec<f64> = Vec::new();
     let mut from = 0;
     let most = if quick { 64 } else { 1024 };
@@ -235,16 +237,19 @@ fn ladder(
         let means: Vec<f64> = (sums.chunks_exact(size))
             .map(|g| g.iter().sum::<f64>() / n)
             .collect();
-        let [mean, std] = moments(&means);
-        let square = |m: &f64| (m - truth.slope).powi(2);
+        let found = Estimate::of(&means);
+        let square = |m: &f64| (m - setup.truth.slope).powi(2);
         let error = (means.iter().map(square).sum::<f64>() / GROUPS as f64).sqrt();
-        // Student's t with 15 degrees of freedom, two-sided 1e-4.
-        let beyond = 5.2 * (std / (GROUPS as f64).sqrt()).hypot(truth.error);
+        let limit = z_limit(1, GROUPS as u64, 1e-4);
+        let truth = Estimate {
+            mean: setup.truth.slope,
+            se: setup.truth.error,
+        };
         probes.ladder.push(Rung {
             estimator: e.name(),
             samples: n,
-            error: error * BALL_ALPHA / truth.value,
-            biased: (mean - truth.slope).abs() > beyond && n > 100.0,
+            error: error * BALL_ALPHA / setup.truth.value,
+            biased: found.z(&truth).abs() > limit && n > 100.0,
         });
         from = to;
         to *= 4;
@@ -315,7 +320,7 @@ fn steps(probes: &mut Probes, setup: &Setup, quick: bool, seed: u64) -> Result<(
     };
     let smooth = |h: f64| {
         let t = Estimator::Emitter;
-        moments(&difference(image(t, h), image(t, -h), h))[0]
+        Estimate::of(&difference(image(t, h), image(t, -h), h)).mean
     };
     // Richardson's extrapolation: the error goes with the fourth power of the step.
     let h = 2e-3 * alpha;
@@ -324,17 +329,17 @@ fn steps(probes: &mut Probes, setup: &Setup, quick: bool, seed: u64) -> Result<(
     for i in 0..count {
         let step = 0.3 * 10f64.powf(-10.0 * f64::from(i) / f64::from(count - 1));
         let h = step * alpha;
-        let single = moments(&difference(image_f32(h), image_f32(-h), h))[0];
+        let single = Estimate::of(&difference(image_f32(h), image_f32(-h), h)).mean;
         let t = Estimator::Detached;
         let jumps = difference(image(t, h), image(t, -h), h);
-        let [_, spread] = moments(&jumps);
+        let spread = Estimate::of(&jumps).se;
         probes.steps.push(Step {
             step,
             smooth: (smooth(h) / exact - 1.0).abs(),
             smooth_f32: (single / exact - 1.0).abs(),
             // With fewer samples that jump, there is nothing to see.
             jumps: if step * (jumps.len() as u64 * spp) as f64 > 16.0 {
-                spread / (jumps.len() as f64).sqrt() / exact.abs()
+                spread / exact.abs()
             } else {
                 f64::NAN
             },
@@ -384,10 +389,8 @@ fn dark(
     for e in usable(&scene) {
         let found = pixels(&scene, "ambient.radiance.value", e, seed, 0..spp, interrupt)?;
         let Some(found) = found else { break };
-        let [mean, std] = moments(&found);
-        let n = spp as f64;
-        let error = std / n / (found.len() as f64).sqrt();
-        let mean = mean / n;
+        let found = Estimate::of(&found);
+        let (mean, error) = (found.mean / spp as f64, found.se / spp as f64);
         probes.dark.push((e.name(), Check { truth, mean, error }));
     }
     Ok(())

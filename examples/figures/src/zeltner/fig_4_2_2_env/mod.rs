@@ -10,9 +10,10 @@ use render::bsdf::microfacet::{Microfacet, Ndf};
 use render::emitter::{AnyEmitter, Emitter};
 use render::params::Theta;
 use render::sampler::Sampler;
+use render::statistics::z_limit;
 use render::{Image, Scene};
 
-use crate::zeltner::integration_1d::Moments;
+use crate::statistics::Moments;
 use examples::chart::Panel;
 use examples::figure::{Figure, Result};
 use examples::scene_builder::{SceneBuilder, View};
@@ -157,14 +158,16 @@ pub fn figure(fig: &mut Figure) -> Result {
 
     let exact = by_directions(&mirror, fig.pick(1000, 4000));
     let moments = |f: &dyn Fn(Terms) -> f64| Moments::of(n, SEED, |s| f(mirror.at(s.next_2d())));
+    // The value, two derivatives, and these beside each other.
+    let limit = z_limit(4, n, 1e-3);
     let primal = moments(&|t| t.primal);
     fig.check(
         "the value over random numbers has the mean of the product over directions",
-        primal.z(exact.re).abs() < 4.0,
+        primal.z(exact.re).abs() < limit,
         format!(
             "{:.5} ± {:.5} and {:.5}",
             primal.mean,
-            primal.error(),
+            primal.of_mean().se,
             exact.re
         ),
     );
@@ -172,22 +175,22 @@ pub fn figure(fig: &mut Figure) -> Result {
     for (name, m) in [("attached", &attached), ("detached", &detached)] {
         fig.check(
             format!("the derivative, {name}, has the mean of that over directions"),
-            m.z(exact.eps[0]).abs() < 4.0,
+            m.z(exact.eps[0]).abs() < limit,
             format!(
                 "{:.4} ± {:.4} and {:.4}; std {:.2}",
                 m.mean,
-                m.error(),
+                m.of_mean().se,
                 exact.eps[0],
                 m.variance().sqrt()
             ),
         );
     }
-    let apart = (attached.mean - detached.mean) / attached.error().hypot(detached.error());
+    let apart = attached.of_mean().z(&detached.of_mean());
     fig.check(
         "attached and detached estimates have the same mean",
         // Of the same random numbers, so closer than independent ones.
-        apart.abs() < 4.0,
-        format!("{apart:.2} standard errors apart"),
+        apart.abs() < limit,
+        format!("{apart:.2} standard errors apart, limit {limit:.2}"),
     );
 
     let grid: Vec<Terms> = (0..size * size)
@@ -265,7 +268,7 @@ pub fn figure(fig: &mut Figure) -> Result {
     let rows = [&primal, &attached, &detached].into_iter().enumerate();
     let rows = rows.map(|(k, m)| {
         let exact = [exact.re, exact.eps[0]][k.min(1)];
-        [k as f64, exact, m.mean, m.error(), m.variance().sqrt()]
+        [k as f64, exact, m.mean, m.of_mean().se, m.variance().sqrt()]
     });
     let header = ["estimate", "exact", "mean", "mean_error", "std"];
     fig.csv("moments", &header, rows);
