@@ -607,7 +607,12 @@ impl Run<'_> {
             let mut step = pairs[t].step * SECOND_STEP;
             let mut look = |run: &mut Self, family: Family| {
                 let seed = Family::Differences.seed(family.seed(run.options.seed));
-                let pair = run.pair(&lines[t], step, seed ^ ((t as u64) << 40), SECOND_LOOK * repeats);
+                let pair = run.pair(
+                    &lines[t],
+                    step,
+                    seed ^ ((t as u64) << 40),
+                    SECOND_LOOK * repeats,
+                );
                 step *= THIRD_STEP;
                 pair
             };

@@ -295,7 +295,13 @@ fn kinks_within_the_step_are_not_called_wrong() {
         repeats: 8,
         ..Options::default()
     };
-    let report = run_with(&mut scene, Estimator::Edges, &["it.translation"], 64, &options);
+    let report = run_with(
+        &mut scene,
+        Estimator::Edges,
+        &["it.translation"],
+        64,
+        &options,
+    );
     let across = &report.params[0].comparisons[0];
     assert!((across.gradient.mean + 0.125).abs() < 0.01, "{report}");
     assert_eq!(across.verdict, Verdict::CannotTell, "{report}");

@@ -186,10 +186,7 @@ impl<'a> Connecting<'a> {
 
     /// Starts the path of a sample.
     fn restart(&mut self, seed: u64, at: &Sample) {
-        // Counted on the full film, so that a crop shows the same samples.
-        let film = &self.scene.film;
-        let [x, y] = [0, 1].map(|k: usize| u64::from(at.pixel[k] + film.crop_offset[k]));
-        let pixel = y * u64::from(film.size[0]) + x;
+        let (_, pixel) = self.scene.film.full_pixel(at.pixel);
         self.rng = Independent::new(Family::Connections.seed(seed), pixel, at.index);
         self.depth = 0;
         self.came_to = Statistics::default();

@@ -104,16 +104,14 @@ impl<'a, P: Float> Seeking<'a, P> {
         let (scene, seed) = (self.scene, Family::Glints.seed(self.seed));
         self.found.clear();
         let (seen, _) = spot::<P, X>(scene, self.points, seed, sample.pixel, sample.index);
-        // Counted on the full film, so that a crop shows the same samples.
         let film = &scene.film;
-        let [px, py] = [0, 1].map(|k: usize| sample.pixel[k] + film.crop_offset[k]);
+        let (on_film, pixel) = film.full_pixel(sample.pixel);
         let [at, lens] = [seen.film, seen.lens].map(|x| x.map(P::to_f64));
-        let middle = [px, py].map(|p| f64::from(p) + 0.5);
+        let middle = on_film.map(|p| f64::from(p) + 0.5);
         let foot = Footprint::new(scene, at, lens, middle, self.hidden)?;
         if !self.glinty[foot.shape as usize] {
             return None;
         }
-        let pixel = u64::from(py) * u64::from(film.size[0]) + u64::from(px);
         let mut rng = Independent::new(seed, pixel, sample.index);
         // A weight of its own: the point is not that of the paths.
         let offset = [0, 1].map(|k: usize| at[k] - middle[k]);

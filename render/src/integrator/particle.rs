@@ -27,10 +27,10 @@ use super::record::{
     Bounce, Contribution, EmittedLight, NormalsLight, Observer, Place, SeenVertex,
 };
 use super::rendering::{Components, NonFinite, Rendering};
-use super::vertex::interest::has_pair;
 use super::vertex::light::{has_tangent, matters};
+use super::vertex::normals::{has_pair, normals_pair};
 use super::vertex::roulette::{play, probability, roulette_weight};
-use super::vertex::{assert_finite, part_of};
+use super::vertex::{assert_finite, has_more, part_of};
 use crate::bsdf::differential::Part;
 use crate::bsdf::kernel::{Rules, kernel_weight};
 use crate::bsdf::{Bsdf, Component, Material, Shading, TransportMode};
@@ -423,7 +423,7 @@ impl<R: Real, X: Sampler> Particle<R, X> {
         let depth = self.depth;
         let si = &hit.si;
         let info = scene.shape_info(hit.shape);
-        if context.caustics_only && depth == 1 && !info.glossy {
+        if context.caustics_only && depth == 1 && !info.throws_caustics() {
             return;
         }
         let here = Here::new(context, &ray, &hit);
@@ -438,10 +438,10 @@ impl<R: Real, X: Sampler> Particle<R, X> {
             observer.vertex(self.beta, &place);
         }
         let unseen = info.delta || (info.emitter.is_some() && context.settings.hides(1));
-        if O::CONNECTS && !unseen && !(context.caustics_only && info.glossy) {
+        if O::CONNECTS && !unseen && (!context.caustics_only || info.shows_caustics()) {
             self.connect::<O>(context, &here);
         }
-        if depth + 1 >= context.settings.max_depth {
+        if !has_more(depth, context.settings) {
             return;
         }
         let splits = context.differential
@@ -579,8 +579,7 @@ impl<R: Real, X: Sampler> Particle<R, X> {
         this
     }
 
-    /// Samples the change of normals at the vertex `hit`. Both samples go on as particles made of the same
-    /// numbers: what they bring is alike, and its noise cancels.
+    /// Samples the change of normals at the vertex `hit`, and follows both samples to their ends.
     #[inline(never)]
     fn split<O: ParticleObserver<R>>(
         &self,
@@ -609,9 +608,8 @@ impl<R: Real, X: Sampler> Particle<R, X> {
         let material = scene.material(hit.shape);
         let at = Shading::new(theta, si.uv);
         let mut sampler = self.sampler;
-        sampler.seek(Purpose::ParticleNormalsPair.at(self.depth));
-        let pair = material.sample_differential(&at, wo, sampler.next_3d(), MODE);
-        for sample in pair.into_iter().flatten() {
+        let dimension = Purpose::ParticleNormalsPair.at(self.depth);
+        for sample in normals_pair(material, &at, wo, MODE, &mut sampler, dimension) {
             let shading = kernel_weight(n_geo, [wo, sample.wi], MODE, context.rules);
             let weight = shading / sample.pdf;
             if weight == R::Primal::zero() || !weight.is_finite() {

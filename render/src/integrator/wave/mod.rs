@@ -37,12 +37,13 @@ use waiting::Waiting;
 use super::direct::{Departure, FoundEdge};
 use super::lockstep;
 use super::path::Context;
-use super::vertex::interest::{Interest, PathInterest, splits};
+use super::vertex::interest::{Interest, PathInterest};
 use super::vertex::light::{
-    LitVertex, Looking, Met, Rival, choose, counts_hits, density, find_light, find_lights,
-    guide_of, guided, has_rival, is_along_delta, is_led, matters, mis_weight, mixed,
-    normals_weight, per_density, weighs,
+    LitVertex, Looking, Met, Rival, choose, density, emitters_at, find_light, find_lights,
+    guide_of, guided, has_rival, is_along_delta, is_led, looks_for_light, matters, mis_weight,
+    mixed, per_density, weighs,
 };
+use super::vertex::normals::{normals_pair, normals_weight, splits};
 use super::vertex::roulette::{play, probability, roulette_weight};
 use super::vertex::{MODE, assert_finite, has_more, may_go_on};
 use crate::accel::{Hit, PACKET_SIZE, RayPacket};
@@ -682,7 +683,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         for i in 0..self.n {
             let ray = Ray::new(paths.o.vec(i), paths.d.vec(i)).leaving(paths.surface[i]);
             let mut interest = paths.interest(i);
-            let lit = interest.lit(log) && !settings.hides(depth);
+            let lit = interest.lit(log);
             let sampled = has_rival::<S, P>(depth, paths.pdf[i]);
             let samplers = &mut self.samplers;
             let mut find = |paths: &mut Paths<P>,
@@ -722,9 +723,10 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             (self.at.there[i], self.at.lit[i], self.at.plain[i]) = (0, 0, 1);
             (self.at.guide[i], self.at.sorted[i]) = (0, 0);
             let Some(hit) = &self.hits[i] else {
-                let lit = lit && !settings.hides_sky(interest.bent);
+                let emitters = emitters_at(scene, settings, depth, interest.bent, None);
+                let lit = lit && !emitters.is_empty();
                 if lit && const { L::ENABLED && differentiates_edges::<Of>() } {
-                    find(paths, scene.infinite_emitters(), None);
+                    find(paths, emitters, None);
                 } else if lit {
                     self.leaving.paths.push(i);
                 }
@@ -737,13 +739,14 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                 None => self.at.put(i, &scene.interaction(theta, &ray, hit).si),
             }
             let info = scene.shape_info(shape);
-            if let Some(e) = info.emitter.filter(|_| lit) {
+            let emitters = emitters_at(scene, settings, depth, interest.bent, Some(shape));
+            if lit && !emitters.is_empty() {
                 let t = P::from_f32(hit.t);
                 let si = SurfaceInteraction {
                     t,
                     ..self.at.interaction(i)
                 };
-                find(paths, &[e], Some((hit.prim, si)));
+                find(paths, emitters, Some((hit.prim, si)));
             }
             if depth >= settings.max_depth {
                 continue;
@@ -827,12 +830,11 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         };
         for &emitter in scene.infinite_emitters() {
             let share = settings.lights.share(scene, emitter);
-            let rivals = S::SAMPLES_EMITTERS && depth > 1;
             if let AnyEmitter::Envmap(e) = &scene.emitters()[emitter as usize]
                 && e.is_known()
             {
                 let put = |i, light, le| found(i, emitter, light, le);
-                let (of, light) = ((&d, &pdf), (rivals, share));
+                let (of, light) = ((&d, &pdf), (depth, share));
                 (self.leaving).meet::<S>(e, theta, &mut self.lookups, of, light, put);
                 continue;
             }
@@ -1241,7 +1243,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             ..
         } = context;
         let more = has_more(depth, settings);
-        let first = Purpose::NormalsPair.at(depth);
+        let dimension = Purpose::NormalsPair.at(depth);
         let mut aside = self.aside.take().unwrap_or_else(Self::new);
         if self.branches.is_empty() {
             aside.l.clear();
@@ -1271,12 +1273,9 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             if paths.beta.rgb(i).is_black() {
                 continue;
             }
-            // Both samples of a pair go on as ordinary paths of this throughput, made of the same numbers: what they
-            // find is alike, and its noise cancels.
             let mut sampler = self.samplers[paths.id[i] as usize % WAVE_SIZE];
-            sampler.seek(first);
-            let pair = material.sample_differential(&shading, wo, sampler.next_3d(), MODE);
-            for sample in pair.into_iter().flatten() {
+            let pair = normals_pair(material, &shading, wo, MODE, &mut sampler, dimension);
+            for sample in pair {
                 if aside.n == WAVE_SIZE {
                     aside.advance::<Of, S>(context, u32::MAX);
                     aside.next = depth + 1;
@@ -1294,14 +1293,9 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                 aside.paths.from.put_vec(k, at.p.vec(i));
                 aside.paths.pdf[k] = sample.pdf;
                 aside.paths.eta[k] = paths.eta[i] * sample.eta;
-                aside.paths.caustics_excluded[k] = paths.caustics_excluded[i] | BENT;
-                aside.paths.caustic[k] = paths.caustic[i];
-                if let Some(split) = context.split.filter(|split| split.selects()) {
-                    let mut interest = aside.paths.interest(k);
-                    let reflects = wo.z * sample.wi.z > P::zero();
-                    interest.leave_by(Some(split), index, false, reflects);
-                    aside.paths.put_interest(k, interest);
-                }
+                let reflects = wo.z * sample.wi.z > P::zero();
+                let interest = paths.interest(i).branch(context.split, index, reflects);
+                aside.paths.put_interest(k, interest);
                 self.branches.push(Branch {
                     at: i,
                     wi: sample.wi,
@@ -1440,7 +1434,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         }
     }
 
-    /// The last edge only looks for light, and only where light that is hit counts.
+    /// Ends paths whose last edge is of no use.
     #[inline(never)]
     fn keep_last<S: Strategy>(&mut self, scene: &Scene) {
         let (n, paths) = (whole(self.n), &self.paths);
@@ -1448,8 +1442,8 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         let ray = |i: usize| Ray::new(paths.o.vec(i), paths.d.vec(i));
         scene.may_meet_light_each(&mut meets[..n], ray);
         for i in 0..n {
-            let counts = counts_hits::<S, P>(paths.pdf[i]);
-            self.bounces.continues[i] &= u32::from(counts) & meets[i];
+            let is_of_use = looks_for_light::<S, P>(paths.pdf[i], meets[i] != 0);
+            self.bounces.continues[i] &= u32::from(is_of_use);
         }
     }
 }
