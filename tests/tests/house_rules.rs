@@ -163,6 +163,7 @@ const TRANSPORT: &[&str] = &[
     "coverage",
     "sink",
     "pass",
+    "solved",
     "projection_map",
     "particle",
     "particle_gradient",
