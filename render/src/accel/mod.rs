@@ -124,7 +124,7 @@ pub enum Primitive {
     /// in [0, 1] whatever the part.
     Span {
         /// Ends of the axis of a capsule around it.
-        ends: [[f32; 3]; 2],
+        end_points: [[f32; 3]; 2],
         /// Radius of that.
         radius: f32,
         /// The first of four control points, among those that the structure is given, see [`Accel::with_curves`].
@@ -618,7 +618,7 @@ fn prepare(
                     ([p0, axis, [0.0; 3]], radii[0].max(radii[1]))
                 }
                 Primitive::Span {
-                    ends: [a, b],
+                    end_points: [a, b],
                     radius,
                     ..
                 } => ([a, b, [0.0; 3]], radius),
@@ -690,7 +690,7 @@ pub(crate) fn bounds(p: &Primitive) -> [[f32; 3]; 2] {
                 ((p - a).min(q - b), (p + a).max(q + b))
             }
             Primitive::Span {
-                ends: [a, b],
+                end_points: [a, b],
                 radius,
                 ..
             } => {

@@ -279,7 +279,7 @@ fn connector<'a, R: Real>(
     options: Connections,
 ) -> Connector<'a> {
     let mut connector = Connector::new(space, split, options);
-    if options.starts == Starts::Particles && !options.method.is_aimed() {
+    if options.starts == Starts::Particles && !options.method.is_deterministic() {
         let [width, height] = pass.scene.film.size.map(|n| n as usize);
         let [least, most] = PARTICLES;
         let particles = width

@@ -22,7 +22,7 @@ use ad_core::{Float, Real, Vec2, Vec3};
 
 use super::lockstep::{self, GROUP, Traveller};
 use super::progress::Progress;
-use super::projection_map::aim_at_casters;
+use super::projection_map::turn_to_casters;
 use super::record::{
     Bounce, Contribution, EmittedLight, NormalsLight, Observer, Place, SeenVertex,
 };
@@ -266,17 +266,17 @@ impl<R: Real, X: Sampler> Particle<R, X> {
         if n == 0 {
             return this;
         }
-        // What to aim at, if at anything, is chosen with the emitter, from one number.
+        // The caster to turn to, if there is one, is chosen with the emitter, from one number.
         let targets = if context.caustics_only {
             scene.casters()
         } else {
             &[]
         };
-        let aims = targets.len().max(1);
+        let per_emitter = targets.len().max(1);
         let sampler = &mut this.sampler;
-        let (index, target) = match n * aims {
+        let (index, target) = match n * per_emitter {
             1 => (0, 0),
-            _ => scene.shares().choose(sampler.next_bits(), aims),
+            _ => scene.shares().choose(sampler.next_bits(), per_emitter),
         };
         let [a, b] = sampler.next_2d::<R::Primal>();
         let [c, d] = sampler.next_2d::<R::Primal>();
@@ -303,8 +303,8 @@ impl<R: Real, X: Sampler> Particle<R, X> {
         };
         if !targets.is_empty() {
             let u = if e.is_infinite() { [a, b] } else { [c, d] };
-            match aim_at_casters(e, context.ball, targets, target, start, u) {
-                Some(aimed) => start = aimed,
+            match turn_to_casters(e, context.ball, targets, target, start, u) {
+                Some(turned) => start = turned,
                 None => return this,
             }
         }

@@ -168,10 +168,10 @@ impl<R: Real> SurfaceInteraction<R> {
         let Ray { o, d, from } = self.spawn_ray(d, exit);
         let way = self.p + d * distance - o;
         let length = way.length_squared().sqrt();
-        let aimed = way * length.recip();
+        let towards = way * length.recip();
         // Without a branch: waves of paths do this in vectors.
         let finite = distance.primal() <= R::Primal::MAX;
-        let d = Vec3::select(finite, aimed, d);
+        let d = Vec3::select(finite, towards, d);
         let length = length * R::c(1.0 - SHADOW_EPSILON);
         Segment {
             ray: Ray { o, d, from },
