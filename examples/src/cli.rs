@@ -758,10 +758,10 @@ impl ManifoldArgs {
             Some(ManifoldArg::Mnee) => Method::Mnee,
             Some(ManifoldArg::MneeUnbiased) => Method::MneeUnbiased,
         };
-        if method.is_aimed() && self.trials.is_some() {
+        if method.is_deterministic() && self.trials.is_some() {
             return usage("--trials: without effect; expected --manifold sms or sms-biased");
         }
-        if method.is_aimed() && self.starts.is_some() {
+        if method.is_deterministic() && self.starts.is_some() {
             return usage("--starts: without effect; expected --manifold sms or sms-biased");
         }
         if settings.caustics == Caustics::Particles {

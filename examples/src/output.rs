@@ -1,15 +1,33 @@
 //! Files that tools write and read. Every file appears complete or not at all.
 
 use std::collections::HashMap;
+use std::fmt;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use render::Image;
 use render::image_io::{self, Encoding, Pixels};
-use serde::Serialize;
+use render::instances::Estimator;
+use serde::{Serialize, Serializer};
 
 use crate::chart::{self, LineChart, Panel};
 use crate::cli::ToolError;
+
+/// An estimator in a report, which names it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Named(pub Estimator);
+
+impl fmt::Display for Named {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        f.pad(self.0.name())
+    }
+}
+
+impl Serialize for Named {
+    fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
+        to.serialize_str(self.0.name())
+    }
+}
 
 /// Makes sure, before the work, that all these files can be written in the end: creates their folders, and
 /// tries each of them. They must differ from each other, and from what is read: the last one written would

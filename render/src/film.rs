@@ -215,6 +215,14 @@ impl Film {
         }
     }
 
+    /// A pixel of the crop window on the full film, and its number there. Random numbers go by that, so that a crop shows the
+    /// same samples.
+    #[inline(always)]
+    pub(crate) fn full_pixel(&self, [x, y]: [u32; 2]) -> ([u32; 2], u64) {
+        let at @ [x, y] = [x + self.crop_offset[0], y + self.crop_offset[1]];
+        (at, u64::from(y) * u64::from(self.size[0]) + u64::from(x))
+    }
+
     /// The point of the image that two uniform numbers stand for in a pixel of the full film, by the filter.
     #[inline(always)]
     pub fn point_in<P: Float>(&self, [px, py]: [u32; 2], u: [P; 2]) -> [P; 2] {

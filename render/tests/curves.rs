@@ -798,7 +798,7 @@ fn what_curves_do_not_do_is_refused() {
 #[test]
 fn spans_without_points_are_not_hit() {
     let span = Primitive::Span {
-        ends: [[0.0; 3], [1.0, 0.0, 0.0]],
+        end_points: [[0.0; 3], [1.0, 0.0, 0.0]],
         radius: 1.0,
         first: 7,
         part: [0, 1],

@@ -597,8 +597,8 @@ fn samples_of_maps_follow_the_texels() {
         let moved: Vec<[Dual<f64, 1>; 7]> = (0..N)
             .map(|i| {
                 let e = scene.emitters()[0].moving().unwrap();
-                let aim = e.moving_draw(u(i)).unwrap();
-                let m = e.moved(&aim, &theta, &e.shift(&theta).unwrap());
+                let drawn = e.moving_draw(u(i)).unwrap();
+                let m = e.moved(&drawn, &theta, &e.shift(&theta).unwrap());
                 let Moved {
                     d, pdf, emission, ..
                 } = m;
@@ -651,10 +651,10 @@ fn samples_stand_still_when_a_map_is_scaled() {
     let theta = Theta::with_tangents(&values, &tangents);
     let shift = e.shift(&theta).unwrap();
     for i in 0..500 {
-        let aim = e
+        let drawn = e
             .moving_draw::<f64>(Independent::new(25, 0, i).next_2d())
             .unwrap();
-        let m = e.moved(&aim, &theta, &shift);
+        let m = e.moved(&drawn, &theta, &shift);
         for x in [m.d.x, m.d.y, m.d.z, m.pdf, m.frozen_pdf] {
             assert!(x.eps[0].abs() < 1e-6 * (1.0 + x.re.abs()), "{x:?}");
         }
@@ -690,18 +690,18 @@ fn motion_is_finite() {
         ];
         for a in unit {
             for b in unit {
-                let Some(aim) = e.moving_draw([a, b]) else {
+                let Some(drawn) = e.moving_draw([a, b]) else {
                     assert!(name.starts_with("black"), "{name} stands still");
                     continue;
                 };
-                let m = e.vary::<P>(&aim);
+                let m = e.vary::<P>(&drawn);
                 assert!(all_finite(&m), "{name} {m:?}");
-                let m = e.moved(&aim, &theta, &e.shift(&theta).unwrap());
+                let m = e.moved(&drawn, &theta, &e.shift(&theta).unwrap());
                 assert!(all_finite(&m), "{name} {m:?}");
                 let offsets: Vec<usize> = scene.params().infos().iter().map(|i| i.offset).collect();
                 let mut grad = Gradient(vec![0.0; values.len()], offsets);
                 let mut sums = vec![0.0; e.sums()];
-                e.pull_back(&aim, [1.0; 3], &mut grad, |_, i, d| sums[i] += d);
+                e.pull_back(&drawn, [1.0; 3], &mut grad, |_, i, d| sums[i] += d);
                 e.fold(
                     &sums,
                     &mut grad.0[scene.params().find("env.data").unwrap().range()],

@@ -1,6 +1,6 @@
 //! Rules of the house that the compiler cannot check.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 /// Derivative policy lives in `estimator/`: materials, emitters and shapes never detach anything.
@@ -167,6 +167,7 @@ const TRANSPORT: &[&str] = &[
     "coverage",
     "sink",
     "pass",
+    "solved",
     "projection_map",
     "particle",
     "particle_gradient",
@@ -243,8 +244,44 @@ fn named_after(code: &str, path: &str) -> Vec<String> {
     names
 }
 
+/// Source text without comments and unit tests.
+fn code_of(path: &Path) -> String {
+    let text = std::fs::read_to_string(path).expect("source text");
+    let code = text
+        .split("#[cfg(test)]\nmod tests")
+        .next()
+        .unwrap_or(&text);
+    let lines: Vec<&str> = code
+        .lines()
+        .map(|l| l.split("//").next().unwrap_or(l))
+        .collect();
+    lines.join("\n")
+}
+
+/// The names that the head of a folder takes from its files, and the files: who takes such a name from the head uses them.
+fn taken_by_head(folder: &Path) -> BTreeMap<String, String> {
+    let head = folder.join("mod.rs");
+    if !head.exists() {
+        return BTreeMap::new();
+    }
+    let code = code_of(&head);
+    let files = code.lines().filter_map(|l| {
+        let declared = l.rsplit_once("mod ")?.1.strip_suffix(';')?;
+        Some(declared.to_owned())
+    });
+    let mut taken = BTreeMap::new();
+    for file in files {
+        for path in [format!("use {file}::"), format!("use self::{file}::")] {
+            let names = named_after(&code, &path).into_iter();
+            taken.extend(names.map(|name| (name, file.clone())));
+        }
+    }
+    taken
+}
+
 /// Which modules of `folder`, whose path in the crate is `prefix`, use which others.
 fn uses(folder: &Path, prefix: &str) -> Vec<(String, String)> {
+    let taken = taken_by_head(folder);
     let mut uses = Vec::new();
     for file in sources(folder) {
         let module = file
@@ -256,21 +293,13 @@ fn uses(folder: &Path, prefix: &str) -> Vec<(String, String)> {
         if ["mod", "lib"].contains(&module.as_str()) {
             continue;
         }
-        let text = std::fs::read_to_string(folder.join(&file)).expect("source text");
-        let code = text
-            .split("#[cfg(test)]\nmod tests")
-            .next()
-            .unwrap_or(&text);
-        let code: String = code
-            .lines()
-            .map(|l| l.split("//").next().unwrap_or(l))
-            .collect::<Vec<_>>()
-            .join("\n");
+        let code = code_of(&folder.join(&file));
         let levels = file.matches('/').count() + usize::from(!file.ends_with("/mod.rs"));
         let parent = "super::".repeat(levels);
         for path in [prefix, &parent] {
             let named = named_after(&code, path).into_iter();
-            uses.extend(named.map(|name| (module.clone(), name)));
+            let of = |name: String| taken.get(&name).cloned().unwrap_or(name);
+            uses.extend(named.map(|name| (module.clone(), of(name))));
         }
     }
     uses
@@ -310,7 +339,9 @@ fn assert_layers(folder: &Path, prefix: &str, layers: &[&str]) {
     assert!(seen > layers.len(), "only {seen} uses found");
 }
 
-/// Nor are there circles between the files of one folder.
+/// Nor are there circles between the files of one folder. Its head, `mod.rs`, belongs to all of them: it defines what they have
+/// in common, traits, types and constants, lists them and calls them. What it only takes from one of them to pass it on is
+/// used where it is defined.
 #[test]
 fn files_use_each_other_one_way() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
@@ -375,6 +406,16 @@ fn circles_are_noticed() {
             "{name}: {found:?}"
         );
     }
+    // What the head passes on is that of the file behind it; what it defines is no file's.
+    let write = |name: &str, text: &str| {
+        let path = folder.path().join(name).with_extension("rs");
+        std::fs::write(path, text).expect("a file");
+    };
+    write("rules", "use super::{All, Common};\n");
+    assert_eq!(find(), None);
+    let head = "mod ball;\nmod list;\n\npub use ball::Ball;\npub use self::list::{All, None};\npub struct Common;\n";
+    write("mod", head);
+    assert!(find().is_some_and(|found| found.iter().any(|f| f == "list")));
     std::fs::remove_file(folder.path().join("rules.rs")).expect("a file");
     assert_eq!(find(), None);
 }

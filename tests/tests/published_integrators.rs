@@ -139,7 +139,7 @@ fn filtered_and_connected_integrators_bring_the_same_light() {
             48,
             256,
         );
-        let (left_out, _) = worst(&all, &paths);
+        let (of_chains, _) = worst(&all, &paths);
         let chains = picture(
             &connected,
             &with(
@@ -160,14 +160,14 @@ fn filtered_and_connected_integrators_bring_the_same_light() {
             let (_, z) = worst(&found, &paths);
             let (seen, _) = worst(&paths, &chains);
             println!(
-                "{name}, {method:?}: |z| up to {z:.2} of {limit:.2}; {:.4} of {:.4}; left out {left_out:.1}, chains {seen:.1}",
+                "{name}, {method:?}: |z| up to {z:.2} of {limit:.2}; {:.4} of {:.4}; left out {of_chains:.1}, chains {seen:.1}",
                 mean(&found),
                 mean(&paths)
             );
             assert!(z < limit, "{name}, {method:?}: {z}");
             assert!(
-                seen > limit && left_out > limit,
-                "{name}: {seen} {left_out}"
+                seen > limit && of_chains > limit,
+                "{name}: {seen} {of_chains}"
             );
         }
     }

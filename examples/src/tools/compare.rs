@@ -1,5 +1,6 @@
 //! `compare`: all estimators of a derivative against each other, speed against accuracy.
 
+use std::fmt;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -12,7 +13,7 @@ use render::integrator::render::{NonFinite, Progress, Rendering};
 use render::params::{ParamInfo, Theta};
 use render::statistics::{self, Estimate};
 use render::{Image, RenderError, Scene, Settings, image_io};
-use serde::Serialize;
+use serde::{Serialize, Serializer};
 
 use crate::chart::{LineChart, Panel};
 use crate::cli::{
@@ -113,20 +114,22 @@ const SECOND_LOOK: u64 = 1 << 16;
 const PILOT: u64 = 1 << 17;
 
 /// What takes part.
-#[derive(Clone, Copy, Debug)]
-struct Contestant {
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Contestant {
     choice: Choice,
     /// In double precision: only [`Estimator::DOUBLE`] is compiled for that.
     double: bool,
 }
 
 impl Contestant {
+    const DEFAULT: Self = Self::single(Choice::One(Estimator::Mis));
+    /// The default in double precision.
     const DOUBLE: Self = Self {
         choice: Choice::One(Estimator::DOUBLE),
         double: true,
     };
 
-    fn single(choice: Choice) -> Self {
+    const fn single(choice: Choice) -> Self {
         Self {
             choice,
             double: false,
@@ -139,6 +142,11 @@ impl Contestant {
         } else {
             self.choice.name()
         }
+    }
+
+    /// Whether it is wrong on purpose.
+    fn is_for_study(self) -> bool {
+        matches!(self.choice, Choice::One(e) if e.capabilities().study)
     }
 
     /// Whether the scene and the parameter allow it.
@@ -156,13 +164,25 @@ impl Contestant {
     }
 }
 
+impl fmt::Display for Contestant {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        f.pad(self.name())
+    }
+}
+
+impl Serialize for Contestant {
+    fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
+        to.serialize_str(self.name())
+    }
+}
+
 /// What was found about one estimator.
 #[derive(Clone, Debug, Serialize)]
 pub struct Row {
     /// Key of the parameter.
     pub param: String,
-    /// Name of the estimator.
-    pub estimator: &'static str,
+    /// The estimator, by its name.
+    pub estimator: Contestant,
     /// Mean over pixels and channels, and its standard error.
     pub mean: [f64; 2],
     /// Difference of that to the reference's, in standard errors.
@@ -187,7 +207,7 @@ pub struct Row {
 #[derive(Clone, Debug, Serialize)]
 struct Refused {
     param: String,
-    estimator: &'static str,
+    estimator: Contestant,
     reason: String,
 }
 
@@ -592,7 +612,7 @@ impl Run<'_> {
         if z_block.abs() <= z_limit {
             return Ok(Some(Finding::Right));
         }
-        if matches!(contestant.choice, Choice::One(e) if e.capabilities().study) {
+        if contestant.is_for_study() {
             return Ok(Some(Finding::Biased));
         }
         let (stream, repeats) = (stream + SECOND_LOOK, MORE_REPEATS * repeats);
@@ -702,7 +722,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
                 if let Err(reason) = e.able(run.scene, info) {
                     report.refused.push(Refused {
                         param: param.clone(),
-                        estimator: e.name(),
+                        estimator: e,
                         reason: reason.to_string(),
                     });
                     continue;
@@ -805,7 +825,7 @@ fn row(
     };
     Row {
         param: param.into(),
-        estimator: e.name(),
+        estimator: e,
         mean: [mean.mean, mean.se],
         z: mean.z(&truth.mean()),
         z_block: series.worst_block(truth).1,
@@ -860,14 +880,16 @@ fn verdict(report: &Report) -> String {
         let sound = rows().filter(right);
         if let Some(best) = sound.max_by(|a, b| a.efficiency.total_cmp(&b.efficiency)) {
             text += &format!("  most efficient: {}", best.estimator);
-            if let Some(usual) = rows().find(|r| r.estimator == "mis") {
-                let gain = best.efficiency / usual.efficiency;
-                text += &format!(", {gain:.2} x mis");
+            let usual = Contestant::DEFAULT;
+            if let Some(row) = rows().find(|r| r.estimator == usual) {
+                let gain = best.efficiency / row.efficiency;
+                text += &format!(", {gain:.2} x {usual}");
             }
             text += "\n";
         }
-        let mean = |name| rows().find(|r| r.estimator == name).map(|r| r.mean);
-        if let (Some([single, error]), Some([double, _])) = (mean("mis"), mean("mis-f64")) {
+        let mean = |of| rows().find(|r| r.estimator == of).map(|r| r.mean);
+        let pair = [Contestant::DEFAULT, Contestant::DOUBLE].map(mean);
+        if let [Some([single, error]), Some([double, _])] = pair {
             let off = (single - double).abs();
             text += &format!(
                 "  single precision: mean off by {off:.1e} with equal random numbers, {:.2} standard errors\n",
@@ -875,7 +897,7 @@ fn verdict(report: &Report) -> String {
             );
         }
         for r in rows().filter(|r| r.finding != Finding::Right) {
-            let on_purpose = cli::can(r.estimator, |c| c.study);
+            let on_purpose = r.estimator.is_for_study();
             let why = match r.finding {
                 Finding::Unresolved => {
                     ": four times the samples do not confirm it; it hardly ever samples what matters there, and its \
@@ -954,7 +976,7 @@ fn write_chart(out: &Path, param: &str, rows: &[Row]) -> Result<(), ToolError> {
         .log_y();
     for r in rows.iter().filter(|r| r.param == param) {
         let label = match r.finding {
-            Finding::Right => r.estimator.to_owned(),
+            Finding::Right => r.estimator.to_string(),
             other => format!("{} ({})", r.estimator, other.name()),
         };
         let points = r.ladder.iter().map(|(_, t, e)| (*t, *e));

@@ -19,7 +19,7 @@ use render::statistics;
 use serde::Serialize;
 
 use crate::cli::{ListArgs, Outcome, ThreadArgs, ToolError, sample_count};
-use crate::output;
+use crate::output::{self, Named};
 use crate::progress::{Bar, Interrupt};
 use crate::{complain, print};
 
@@ -124,8 +124,8 @@ pub struct Row {
     pub param: &'static str,
     /// Where on its axis.
     pub x: f64,
-    /// Name of the estimator.
-    pub estimator: &'static str,
+    /// The estimator.
+    pub estimator: Named,
     /// Radiance, or the mean of the image.
     pub radiance: f64,
     /// True derivative, and how far it may be off.
@@ -153,8 +153,8 @@ pub struct Row {
 pub struct Refused {
     /// Name of the sweep.
     pub sweep: &'static str,
-    /// Name of the estimator.
-    pub estimator: &'static str,
+    /// The estimator.
+    pub estimator: Named,
     /// Why.
     pub reason: String,
 }
@@ -280,7 +280,7 @@ fn row(sweep: &Sweep, x: f64, setup: &Setup, e: Estimator, m: &Measured, z_limit
         sweep: sweep.name,
         param: setup.param,
         x,
-        estimator: e.name(),
+        estimator: Named(e),
         radiance: truth.value,
         truth: [truth.slope, truth.error],
         mean: [m.mean, m.error],
@@ -348,7 +348,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
                     if let Err(reason) = e.check(&setup.scene) {
                         let refused = Refused {
                             sweep: sweep.name,
-                            estimator: e.name(),
+                            estimator: Named(e),
                             reason: reason.to_string(),
                         };
                         if !report.refused.contains(&refused) {

@@ -124,7 +124,7 @@ pub enum Primitive {
     /// in [0, 1] whatever the part.
     Span {
         /// Ends of the axis of a capsule around it.
-        ends: [[f32; 3]; 2],
+        end_points: [[f32; 3]; 2],
         /// Radius of that.
         radius: f32,
         /// The first of four control points, among those that the structure is given, see [`Accel::with_curves`].
@@ -306,15 +306,15 @@ impl Accel {
     /// `d` need not be normalised. The caller offsets origins that lie on another surface.
     #[inline(always)]
     pub fn intersect(&self, o: [f32; 3], d: [f32; 3], t_max: f32, from: u32) -> Option<Hit> {
-        // Scalars travel in vector registers; arrays would go through memory and stall.
-        self.intersect_scalars(o[0], o[1], o[2], d[0], d[1], d[2], t_max, from)
+        let [x, y, z] = OnAxis::axes(o, d);
+        self.intersect_numbers(x, y, z, t_max, from)
     }
 
     /// Whether anything is hit with `0 < t < t_max` that lies on neither of the surfaces in `skip`.
     #[inline(always)]
     pub fn occluded(&self, o: [f32; 3], d: [f32; 3], t_max: f32, skip: [u32; 2]) -> bool {
-        let [from, to] = skip;
-        self.occluded_scalars(o[0], o[1], o[2], d[0], d[1], d[2], t_max, from, to)
+        let [x, y, z] = OnAxis::axes(o, d);
+        self.occluded_numbers(x, y, z, t_max, skip)
     }
 
     /// [`Accel::intersect`] for every ray of a packet, with the same results.
@@ -355,43 +355,34 @@ impl Accel {
     }
 
     #[inline(never)]
-    #[expect(clippy::too_many_arguments, reason = "scalars travel in registers")]
-    fn intersect_scalars(
+    fn intersect_numbers(
         &self,
-        ox: f32,
-        oy: f32,
-        oz: f32,
-        dx: f32,
-        dy: f32,
-        dz: f32,
+        x: OnAxis,
+        y: OnAxis,
+        z: OnAxis,
         t_max: f32,
         from: u32,
     ) -> Option<Hit> {
-        let skip = [from, NOWHERE];
-        match Ray::new([ox, oy, oz], [dx, dy, dz], skip) {
+        let ([o, d], skip) = (OnAxis::vectors(x, y, z), [from, NOWHERE]);
+        match Ray::new(o, d, skip) {
             Some(ray) => self.nearest(&ray, t_max).hit(),
-            None => self.intersect_odd([ox, oy, oz], [dx, dy, dz], t_max, skip),
+            None => self.intersect_odd(o, d, t_max, skip),
         }
     }
 
     #[inline(never)]
-    #[expect(clippy::too_many_arguments, reason = "scalars travel in registers")]
-    fn occluded_scalars(
+    fn occluded_numbers(
         &self,
-        ox: f32,
-        oy: f32,
-        oz: f32,
-        dx: f32,
-        dy: f32,
-        dz: f32,
+        x: OnAxis,
+        y: OnAxis,
+        z: OnAxis,
         t_max: f32,
-        from: u32,
-        to: u32,
+        skip: [u32; 2],
     ) -> bool {
-        let skip = [from, to];
-        match Ray::new([ox, oy, oz], [dx, dy, dz], skip) {
+        let [o, d] = OnAxis::vectors(x, y, z);
+        match Ray::new(o, d, skip) {
             Some(ray) => self.blocked(&ray, t_max),
-            None => self.occluded_odd([ox, oy, oz], [dx, dy, dz], t_max, skip),
+            None => self.occluded_odd(o, d, t_max, skip),
         }
     }
 
@@ -627,7 +618,7 @@ fn prepare(
                     ([p0, axis, [0.0; 3]], radii[0].max(radii[1]))
                 }
                 Primitive::Span {
-                    ends: [a, b],
+                    end_points: [a, b],
                     radius,
                     ..
                 } => ([a, b, [0.0; 3]], radius),
@@ -699,7 +690,7 @@ pub(crate) fn bounds(p: &Primitive) -> [[f32; 3]; 2] {
                 ((p - a).min(q - b), (p + a).max(q + b))
             }
             Primitive::Span {
-                ends: [a, b],
+                end_points: [a, b],
                 radius,
                 ..
             } => {
@@ -713,6 +704,27 @@ pub(crate) fn bounds(p: &Primitive) -> [[f32; 3]; 2] {
         each(sides, |s| (s.0 as f32).next_down()),
         each(sides, |s| (s.1 as f32).next_up()),
     ]
+}
+
+/// Origin and direction of a ray along one axis. A call passes two numbers in registers, where vectors would go through
+/// memory and stall.
+#[derive(Clone, Copy)]
+struct OnAxis {
+    o: f32,
+    d: f32,
+}
+
+impl OnAxis {
+    #[inline(always)]
+    fn axes(o: [f32; 3], d: [f32; 3]) -> [Self; 3] {
+        [0, 1, 2].map(|k| Self { o: o[k], d: d[k] })
+    }
+
+    /// Origin and direction.
+    #[inline(always)]
+    fn vectors(x: Self, y: Self, z: Self) -> [[f32; 3]; 2] {
+        [[x.o, y.o, z.o], [x.d, y.d, z.d]]
+    }
 }
 
 /// A ray with finite numbers of sane size.

@@ -146,8 +146,8 @@ impl Plane {
     /// A box around it and what touches it.
     fn bounds(&self) -> Bounds {
         let end = |k: usize, sign: f64| {
-            let ends = self.corners.iter().map(|c| sign * c[k]);
-            let end = ends.fold(f64::NEG_INFINITY, f64::max);
+            let extents = self.corners.iter().map(|c| sign * c[k]);
+            let end = extents.fold(f64::NEG_INFINITY, f64::max);
             (sign * (end + 4.0 * f64::from(f32::EPSILON) * self.reach[k])) as f32
         };
         [

@@ -231,9 +231,9 @@ fn double(v: [f32; 3]) -> Vec3<f64> {
 
 /// Ends of the axis of a capsule in single precision, its radius and how the part bends.
 pub(crate) fn rounded(capsule: &Capsule) -> ([[f32; 3]; 2], f32, f32) {
-    let ends = [capsule.from, capsule.to];
-    let rounded = ends.map(single);
-    let moved = |k: usize| (double(rounded[k]) - ends[k]).length();
+    let end_points = [capsule.from, capsule.to];
+    let rounded = end_points.map(single);
+    let moved = |k: usize| (double(rounded[k]) - end_points[k]).length();
     let radius = up(capsule.radius + moved(0).max(moved(1)));
     (rounded, radius, up(capsule.bend))
 }

@@ -398,11 +398,11 @@ impl FilmCurves {
     }
 
     fn straight(&mut self, item: u32, start: Vec3<f64>, along: Vec3<f64>, share: f64) {
-        let ends = |view: &Projection| {
+        let end_points = |view: &Projection| {
             let start = start - view.origin();
             [start, start + along].map(|p| view.seen_from_origin(p))
         };
-        let [a, b] = ends(&self.views[0]);
+        let [a, b] = end_points(&self.views[0]);
         // Blur grows on both sides of the focus.
         let focus = self.blur.map(|blur| (blur.focus - a[2]) / (b[2] - a[2]));
         let parts: &[[f64; 2]] = match focus {
@@ -418,7 +418,7 @@ impl FilmCurves {
                 continue;
             };
             let length = |view: &Projection| {
-                let [a, b] = ends(view);
+                let [a, b] = end_points(view);
                 let span = span.map(|t| from + t * (to - from));
                 let [p, q] = span.map(|t| flat(between(a, b, t)));
                 (q[0] - p[0]).hypot(q[1] - p[1])
@@ -575,8 +575,8 @@ impl FilmCurves {
                 let share = match sides {
                     // What it counts, and how long it is from there.
                     _ if self.blur.is_some() => {
-                        let ends = span.map(|t| flat(view.seen(start + along * t)));
-                        let [p, q] = ends;
+                        let end_points = span.map(|t| flat(view.seen(start + along * t)));
+                        let [p, q] = end_points;
                         length / (q[0] - p[0]).hypot(q[1] - p[1])
                     }
                     Sides::Crease(..) => f64::from(edges.straight[item as usize].jump),

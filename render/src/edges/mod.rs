@@ -61,7 +61,7 @@ struct Face {
 #[derive(Clone, Copy, Debug)]
 struct Edge {
     shape: u32,
-    ends: [[f32; 3]; 2],
+    end_points: [[f32; 3]; 2],
     /// Unit vectors in the faces, at right angles to the edge; zero where there is none.
     into: [[f32; 3]; 2],
     faces: [Face; 2],
@@ -249,11 +249,11 @@ impl Face {
 
 impl Edge {
     fn start(&self) -> Vec3<f64> {
-        lift3(self.ends[0])
+        lift3(self.end_points[0])
     }
 
     fn along(&self) -> Vec3<f64> {
-        lift3::<f64>(self.ends[1]) - self.start()
+        lift3::<f64>(self.end_points[1]) - self.start()
     }
 
     /// The point at a part of its length, of one of its faces.
@@ -457,8 +457,8 @@ impl Edges {
                 View::Outline(front) => front,
                 View::Crease => 0,
             };
-            let ends = [e.start(), e.start() + e.along()];
-            Some((e.shape, e.faces[front].local, ends))
+            let end_points = [e.start(), e.start() + e.along()];
+            Some((e.shape, e.faces[front].local, end_points))
         })
     }
 

@@ -236,12 +236,12 @@ impl Topology {
         }
         sides.sort_unstable();
         for group in sides.chunk_by(|a, b| a.0 == b.0) {
-            let ends = |(_, polygon, side): ([u32; 2], u32, u8)| {
+            let end_points = |(_, polygon, side): ([u32; 2], u32, u8)| {
                 let corners = &polygons[polygon as usize].corners;
                 let [a, b] = [side as usize, (side as usize + 1) % corners.len()];
                 [corners[a], corners[b]]
             };
-            let [a, b] = ends(group[0]);
+            let [a, b] = end_points(group[0]);
             let (start, along) = (lift3::<f64>(a.at), lift3::<f64>(b.at) - lift3::<f64>(a.at));
             if along.length_squared() == 0.0 {
                 continue;
@@ -273,7 +273,7 @@ impl Topology {
                 local: polygons[polygon as usize].local,
                 side,
                 sides: polygons[polygon as usize].corners.len() as u8,
-                reversed: ends((group[0].0, polygon, side))[0].welded != a.welded,
+                reversed: end_points((group[0].0, polygon, side))[0].welded != a.welded,
                 inside: inside(polygon),
             };
             let seam = |&(_, polygon, side): &([u32; 2], u32, u8)| {
@@ -282,7 +282,7 @@ impl Topology {
             let m = into(group[0].1);
             let mut edge = Edge {
                 shape,
-                ends: [a.at, b.at],
+                end_points: [a.at, b.at],
                 into: [single(m), [0.0; 3]],
                 faces: [face(&group[0]); 2],
                 border: group.len() == 1,
@@ -294,7 +294,7 @@ impl Topology {
                 edge.into[1] = single(m2);
                 edge.faces[1] = face(other);
                 let bent = group.len() > 2 || m.dot(m2) + 1.0 > FLAT;
-                let [mut c, mut d] = ends(*other);
+                let [mut c, mut d] = end_points(*other);
                 if edge.faces[1].reversed {
                     (c, d) = (d, c);
                 }

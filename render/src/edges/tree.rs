@@ -174,7 +174,7 @@ pub(crate) struct Cone {
 impl Tree {
     pub fn of(straight: &[Edge], more: &HashMap<u32, Vec<[f32; 3]>>, curves: &[Curve]) -> Self {
         let of_edge = |(e, edge): (&Edge, u32)| {
-            let [a, b] = e.ends.map(lift3::<f64>);
+            let [a, b] = e.end_points.map(lift3::<f64>);
             let along = b - a;
             // A pair of normals of faces that are one plane is one vector.
             let pair = [

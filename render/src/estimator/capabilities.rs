@@ -32,7 +32,8 @@ pub struct Capabilities {
     pub guided: bool,
     /// How its derivatives are carried.
     pub modes: Modes,
-    /// Whether it is wrapped in [`AllowBias`](super::AllowBias): there for study.
+    /// Whether it is wrapped in [`AllowBias`](super::AllowBias): there for study, and wrong on purpose. What is there for study
+    /// and right, but noisy, as weights by [`TrustLights`](super::TrustLights), is not.
     pub study: bool,
     /// By what it is biased, of what its type says; empty for those that are right.
     pub failures: Failures,

@@ -13,6 +13,9 @@ use super::{Detached, Follows, Heuristic, Power, Strategy, Weights};
 /// [`Power`] that trusts sampled lights eight times as much as their density deserves. Densities of primal
 /// samples say little about the spread of a derivative; a constant that is right for it is found by measuring, see
 /// [`crate::auto`].
+///
+/// What it weighs is as right as it is by [`Power`], and only noisier. [`Capabilities::study`](super::Capabilities::study) means
+/// what is wrong on purpose, which tools warn of and do not look at twice, and does not hold.
 #[derive(Clone, Copy, Debug)]
 pub struct TrustLights;
 

@@ -2,7 +2,7 @@
 
 use ad_core::{Float, Mat2, Vec2, Vec3};
 
-use super::footprint::{Aim, Footprint};
+use super::footprint::{Footprint, HalfVectors};
 use super::map::{SlopeMap, cell_of};
 use super::mapped_metal;
 use super::search::Pick;
@@ -55,7 +55,7 @@ type Worth = (SurfaceInteraction<f64>, Vec3<f64>, Vec3<f64>, f64);
 struct Lit<'a> {
     foot: &'a Footprint,
     map: &'a SlopeMap,
-    aim: Aim,
+    halves: HalfVectors,
     /// Density of the direction, per solid angle; `None` for what cannot be hit.
     pdf: Option<f64>,
     behind: bool,
@@ -139,11 +139,11 @@ impl<'a, P: Float> Finder<'a, P> {
 
     /// Density of the footprint's slopes at the half vector, from moments, if the footprint is about `t`.
     fn lobe(&self, lit: &Lit, t: Vec2<f64>) -> f64 {
-        let Aim {
+        let HalfVectors {
             texels_per_pixel,
             half_per_texel,
             ..
-        } = lit.aim;
+        } = lit.halves;
         // As wide as a square pixel.
         let half = texels_per_pixel
             .rows
@@ -151,7 +151,7 @@ impl<'a, P: Float> Finder<'a, P> {
         let per_pixel = half_per_texel * texels_per_pixel;
         (lit.map.moments(&self.theta, t, half))
             .spread(&per_pixel, [1.0 / 12.0; 2])
-            .density(lit.aim.half(t))
+            .density(lit.halves.half(t))
     }
 
     /// Scatters a direction and looks for light there.
@@ -213,9 +213,9 @@ impl<'a, P: Float> Finder<'a, P> {
     fn rival(&self, foot: &Footprint, target: &Target, pdf: f64) -> f64 {
         let found = || {
             let (map, behind) = self.slopes(foot)?;
-            let aim = foot.aim(map, target, behind)?;
-            let (slope, derivative) = map.slope(&self.theta, aim.t0)?;
-            let off = aim.half(aim.t0) - slope;
+            let halves = foot.half_vectors(map, target, behind)?;
+            let (slope, derivative) = map.slope(&self.theta, halves.t0)?;
+            let off = halves.half(halves.t0) - slope;
             // A normal that was turned to the viewer, and the like.
             let same = off.length() <= SAME_SLOPE * (1.0 + slope.length_squared());
             if !same {
@@ -225,22 +225,22 @@ impl<'a, P: Float> Finder<'a, P> {
             let lit = Lit {
                 foot,
                 map,
-                aim,
+                halves,
                 pdf: Some(pdf),
                 behind,
             };
             let q = match self.options.region {
                 GlintRegion::Texels => {
-                    map.choose(&self.theta, &lit.aim, Pick::Of(cell_of(aim.t0)))?
+                    map.choose(&self.theta, &lit.halves, Pick::Of(cell_of(halves.t0)))?
                         .1
                 }
                 GlintRegion::Footprint => 1.0,
             };
-            let det = (aim.half_per_texel - derivative).determinant().abs();
+            let det = (halves.half_per_texel - derivative).determinant().abs();
             let angle = reflection.slopes_per_angle;
-            let covers = covered(&aim.texels_per_pixel, det, angle);
+            let covers = covered(&halves.texels_per_pixel, det, angle);
             let drawn = foot.drawn(Vec2::zero());
-            Some(self.weight(&lit, aim.t0, [q, covers, drawn], angle))
+            Some(self.weight(&lit, halves.t0, [q, covers, drawn], angle))
         };
         found().unwrap_or(0.0)
     }
@@ -276,13 +276,13 @@ impl<'a, P: Float> Finder<'a, P> {
         } else {
             Target::Direction(light.d)
         };
-        let Some(aim) = foot.aim(map, &target, behind) else {
+        let Some(halves) = foot.half_vectors(map, &target, behind) else {
             return;
         };
         let lit = Lit {
             foot,
             map,
-            aim,
+            halves,
             pdf: (!e.is_delta()).then_some(pdf),
             behind,
         };
@@ -329,12 +329,12 @@ impl<'a, P: Float> Finder<'a, P> {
             budget,
             ..
         } = self.options;
-        let &Lit { map, aim, .. } = lit;
+        let &Lit { map, halves, .. } = lit;
         // A threshold is in texture coordinates.
         let threshold = threshold.map(|x| x * map.texels_per_uv().determinant().abs().sqrt());
         let (cell, q) = match region {
             GlintRegion::Footprint => (None, 1.0),
-            GlintRegion::Texels => match map.choose(&self.theta, &aim, Pick::Random(rng)) {
+            GlintRegion::Texels => match map.choose(&self.theta, &halves, Pick::Random(rng)) {
                 Some((cell, q)) => (Some((cell, map.patch(&self.theta, cell))), q),
                 None => return,
             },
@@ -345,8 +345,8 @@ impl<'a, P: Float> Finder<'a, P> {
             }
             let u = rng.next_2d::<f64>();
             let (root, n) = match &cell {
-                Some((cell, patch)) => patch.walk(&aim, *cell, u, most),
-                None => over_footprint(map, &self.theta, &aim, aim.at(u), most),
+                Some((cell, patch)) => patch.walk(&halves, *cell, u, most),
+                None => over_footprint(map, &self.theta, &halves, halves.at(u), most),
             };
             s.walks += 1;
             s.steps += u64::from(n);
@@ -383,16 +383,19 @@ impl<'a, P: Float> Finder<'a, P> {
     /// A solution as materials see it, and its weight; `None` where it brings nothing.
     fn worth(&self, lit: &Lit, pdf: f64, q: f64, root: &Root) -> Option<Worth> {
         let Lit {
-            foot, aim, behind, ..
+            foot,
+            halves,
+            behind,
+            ..
         } = lit;
-        let off = aim.pixels(root.t);
+        let off = halves.pixels(root.t);
         let filter = foot.filter.density(foot.offset(off));
-        let reflection = foot.reflection(off, aim.half(root.t), *behind)?;
+        let reflection = foot.reflection(off, halves.half(root.t), *behind)?;
         if filter == 0.0 {
             return None;
         }
         let angle = reflection.slopes_per_angle;
-        let covers = covered(&aim.texels_per_pixel, root.det, angle);
+        let covers = covered(&halves.texels_per_pixel, root.det, angle);
         let share = self.weight(lit, root.t, [q, covers, foot.drawn(off)], angle);
         let weight = share * filter / (q * pdf * covers);
         let uv = foot.si.uv;

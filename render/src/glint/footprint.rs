@@ -34,7 +34,7 @@ pub struct Footprint {
 
 /// The half vector to a target as a function of texel coordinates: its slope, an affine function, and what the footprint is.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Aim {
+pub(super) struct HalfVectors {
     /// Texel coordinates of the footprint's point.
     pub t0: Vec2<f64>,
     /// Slope of the half vector there.
@@ -48,7 +48,7 @@ pub(super) struct Aim {
     radius: f64,
 }
 
-impl Aim {
+impl HalfVectors {
     /// From derivatives across the image, as columns: those of the half vector's slope and of texel coordinates. `None` if they
     /// do not say where in the image a texel is, or if that is out of reach.
     pub fn of(
@@ -60,7 +60,7 @@ impl Aim {
         radius: f64,
     ) -> Option<Self> {
         let pixels_per_texel = texels_per_pixel.inverse()?;
-        let aim = Self {
+        let halves = Self {
             t0,
             half0,
             half_per_texel: half_per_pixel * pixels_per_texel,
@@ -69,12 +69,12 @@ impl Aim {
             centre,
             radius,
         };
-        let (middle, half) = aim.bounds();
+        let (middle, half) = halves.bounds();
         let near = |x: f64| x.abs() <= FARTHEST;
-        let all = aim.half_per_texel.is_finite()
-            && aim.pixels_per_texel.is_finite()
-            && aim.half0.is_finite();
-        (all && near(middle.x) && near(middle.y) && half.into_iter().all(near)).then_some(aim)
+        let all = halves.half_per_texel.is_finite()
+            && halves.pixels_per_texel.is_finite()
+            && halves.half0.is_finite();
+        (all && near(middle.x) && near(middle.y) && half.into_iter().all(near)).then_some(halves)
     }
 
     /// Slope of the half vector.
@@ -186,12 +186,17 @@ impl Footprint {
 
     /// The half vector to a target. `None` on different sides, and where texture coordinates are none: at poles.
     /// `behind`: seen from the back of something with two sides.
-    pub(super) fn aim(&self, map: &SlopeMap, target: &Target, behind: bool) -> Option<Aim> {
+    pub(super) fn half_vectors(
+        &self,
+        map: &SlopeMap,
+        target: &Target,
+        behind: bool,
+    ) -> Option<HalfVectors> {
         let half = self.half(target, behind)?;
         let t0 = map.texels(self.si.uv.map(|x| x.re));
         let texels_per_pixel = self.texels_per_pixel(map);
         let half_per_pixel = Mat2::from_rows([half.x.eps, half.y.eps]);
-        Aim::of(
+        HalfVectors::of(
             t0,
             half.map(|x| x.re),
             half_per_pixel,

@@ -2,7 +2,7 @@
 
 use ad_core::{Float, Vec2};
 
-use super::footprint::Aim;
+use super::footprint::HalfVectors;
 use super::map::SlopeMap;
 use crate::params::Theta;
 use crate::sampler::{Independent, Sampler};
@@ -48,10 +48,10 @@ impl SlopeMap {
     pub(super) fn choose<P: Float>(
         &self,
         theta: &Theta<P>,
-        aim: &Aim,
+        halves: &HalfVectors,
         mut pick: Pick,
     ) -> Option<([i64; 2], f64)> {
-        let (middle, half) = aim.bounds();
+        let (middle, half) = halves.bounds();
         let bounds = [0, 1].map(|k: usize| {
             let [m, h] = [middle.to_array()[k], half[k].max(1e-9)];
             [m - h, m + h]
@@ -68,13 +68,13 @@ impl SlopeMap {
             for (c, child) in children.iter_mut().enumerate() {
                 child.at = [2 * at[0] + (c & 1), 2 * at[1] + (c >> 1)];
                 if child.at[0] < nodes[0] && child.at[1] < nodes[1] {
-                    child.area = self.overlap(aim, bounds, first, k, child.at);
+                    child.area = self.overlap(halves, bounds, first, k, child.at);
                 }
             }
             let several = children.iter().filter(|c| c.area > 0.0).count() > 1;
             if several || k == 0 {
                 for child in children.iter_mut().filter(|c| c.area > 0.0) {
-                    match self.fit(theta, aim, first, k, child) {
+                    match self.fit(theta, halves, first, k, child) {
                         Some(fit) => child.fit = fit * child.area,
                         None => child.area = 0.0,
                     }
@@ -104,14 +104,14 @@ impl SlopeMap {
     /// Area of a node within the bounds of the footprint, if it meets that.
     fn overlap(
         &self,
-        aim: &Aim,
+        halves: &HalfVectors,
         bounds: [[f64; 2]; 2],
         first: [i64; 2],
         k: usize,
         at: [usize; 2],
     ) -> f64 {
         let (middle, half) = self.rectangle(first, k, at);
-        if !aim.meets(middle, half) {
+        if !halves.meets(middle, half) {
             return 0.0;
         }
         let side = |axis: usize| {
@@ -125,7 +125,7 @@ impl SlopeMap {
     fn fit<P: Float>(
         &self,
         theta: &Theta<P>,
-        aim: &Aim,
+        halves: &HalfVectors,
         first: [i64; 2],
         k: usize,
         child: &Child,
@@ -133,7 +133,7 @@ impl SlopeMap {
         let (middle, half) = self.rectangle(first, k, child.at);
         let content = if k == 0 {
             let cell = [0, 1].map(|axis: usize| first[axis] + child.at[axis] as i64);
-            if self.patch(theta, cell).excludes(aim, cell) {
+            if self.patch(theta, cell).excludes(halves, cell) {
                 return None;
             }
             cell
@@ -142,8 +142,8 @@ impl SlopeMap {
         };
         let variance = half.map(|h| h * h / 3.0);
         let own = self.node(theta, k, content);
-        let spread = own.spread(&aim.half_per_texel, variance);
-        let fit = spread.tailed(aim.half(middle));
+        let spread = own.spread(&halves.half_per_texel, variance);
+        let fit = spread.tailed(halves.half(middle));
         Some(if fit.is_finite() { fit } else { 0.0 })
     }
 

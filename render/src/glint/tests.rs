@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use ad_core::{Mat2, Vec2, Vec3};
 
-use super::footprint::Aim;
+use super::footprint::HalfVectors;
 use super::map::{SlopeMap, cell_of};
 use super::search::Pick;
 use super::walk::over_footprint;
@@ -55,10 +55,10 @@ fn double(params: &Params) -> Vec<f64> {
 }
 
 /// A footprint about a point, so many texels wide, slanted.
-fn aim(t0: Vec2<f64>, width: f64, half: Vec2<f64>, turn: f64) -> Aim {
+fn half_vectors(t0: Vec2<f64>, width: f64, half: Vec2<f64>, turn: f64) -> HalfVectors {
     let texels = Mat2::from_rows([[width, 0.3 * width], [-0.2 * width, 0.7 * width]]);
     let turns = Mat2::from_rows([[turn, 0.1 * turn], [-0.3 * turn, 0.8 * turn]]);
-    Aim::of(t0, half, turns, texels, Vec2::new(0.1, -0.2), 0.5).unwrap()
+    HalfVectors::of(t0, half, turns, texels, Vec2::new(0.1, -0.2), 0.5).unwrap()
 }
 
 /// Slopes are those of the material's shading frame, and their derivatives central differences.
@@ -152,14 +152,14 @@ fn cells_are_drawn_as_they_say() {
         let theta = Theta::<f64>::constant(&values);
         let field = SlopeMap::new(&map, &theta).unwrap();
         for (i, width) in [0.3, 3.0, 25.0].into_iter().enumerate() {
-            let aim = aim(Vec2::new(5.8, -0.4), width, Vec2::new(0.05, 0.02), 0.01);
-            let (middle, half) = aim.bounds();
+            let halves = half_vectors(Vec2::new(5.8, -0.4), width, Vec2::new(0.05, 0.02), 0.01);
+            let (middle, half) = halves.bounds();
             let mut sum = 0.0;
             let mut all = std::collections::HashMap::new();
             let range = |m: f64, h: f64| (m - h).floor() as i64 - 1..=(m + h).floor() as i64 + 1;
             for y in range(middle.y, half[1]) {
                 for x in range(middle.x, half[0]) {
-                    if let Some((cell, p)) = field.choose(&theta, &aim, Pick::Of([x, y])) {
+                    if let Some((cell, p)) = field.choose(&theta, &halves, Pick::Of([x, y])) {
                         assert_eq!(cell, [x, y]);
                         sum += p;
                         all.insert(cell, (p, 0u32));
@@ -170,7 +170,7 @@ fn cells_are_drawn_as_they_say() {
             let n = 40_000;
             let mut lost = 0;
             for _ in 0..n {
-                match field.choose(&theta, &aim, Pick::Random(&mut s)) {
+                match field.choose(&theta, &halves, Pick::Random(&mut s)) {
                     Some((cell, p)) => {
                         let (expected, count) = all.get_mut(&cell).expect("a cell");
                         assert!((p - *expected).abs() < 1e-12);
@@ -227,7 +227,7 @@ fn walks_end_in_the_roots_of_cells() {
     let values = double(&params);
     let theta = Theta::<f64>::constant(&values);
     let field = SlopeMap::new(&map, &theta).unwrap();
-    let aim = aim(Vec2::new(8.0, 8.0), 20.0, Vec2::new(0.04, -0.03), 0.02);
+    let halves = half_vectors(Vec2::new(8.0, 8.0), 20.0, Vec2::new(0.04, -0.03), 0.02);
     let mut s = Independent::new(3, 1, 4);
     let (mut some, mut rarest, mut excluded) = (0, 1.0f64, 0);
     let mut roots = Vec::new();
@@ -237,16 +237,16 @@ fn walks_end_in_the_roots_of_cells() {
         let slopes = patch.corners();
         let at = |i: i64, j: i64| Vec2::new((cell[0] + i) as f64, (cell[1] + j) as f64);
         let corners = [at(0, 0), at(1, 0), at(0, 1), at(1, 1)];
-        let c = [0, 1, 2, 3].map(|i: usize| aim.half(corners[i]) - slopes[i]);
+        let c = [0, 1, 2, 3].map(|i: usize| halves.half(corners[i]) - slopes[i]);
         let expected = closed_form(c);
-        if patch.excludes(&aim, cell) {
+        if patch.excludes(&halves, cell) {
             excluded += 1;
             assert!(expected.is_empty());
         }
         let mut counts = vec![0; expected.len()];
         let n = 200;
         for _ in 0..n {
-            let (found, steps) = patch.walk(&aim, cell, s.next_2d::<f64>(), 30);
+            let (found, steps) = patch.walk(&halves, cell, s.next_2d::<f64>(), 30);
             assert!(steps <= 30);
             let Some(root) = found else { continue };
             let local = root.t - at(0, 0);
@@ -263,8 +263,8 @@ fn walks_end_in_the_roots_of_cells() {
     assert!(some > 10 && rarest > 0.1 && excluded > 50);
     let mut found = 0;
     for _ in 0..2000 {
-        let start = aim.at(s.next_2d::<f64>());
-        if let (Some(root), _) = over_footprint(&field, &theta, &aim, start, 20) {
+        let start = halves.at(s.next_2d::<f64>());
+        if let (Some(root), _) = over_footprint(&field, &theta, &halves, start, 20) {
             let wrapped = Vec2::new(root.t.x.rem_euclid(16.0), root.t.y.rem_euclid(16.0));
             // Half vectors are those of where it is: only in the middle copy they are the same.
             if (wrapped - root.t).length() < 1e-9 {

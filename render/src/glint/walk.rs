@@ -2,7 +2,7 @@
 
 use ad_core::{Float, Mat2, Vec2};
 
-use super::footprint::Aim;
+use super::footprint::HalfVectors;
 use super::map::{Patch, SlopeMap, cell_of};
 use crate::params::Theta;
 
@@ -37,23 +37,28 @@ struct Step {
     rounding: f64,
 }
 
-fn step(aim: &Aim, t: Vec2<f64>, slope: Vec2<f64>, derivative: &Mat2<f64>) -> Option<Step> {
-    let half = aim.half(t);
+fn step(
+    halves: &HalfVectors,
+    t: Vec2<f64>,
+    slope: Vec2<f64>,
+    derivative: &Mat2<f64>,
+) -> Option<Step> {
+    let half = halves.half(t);
     let c = half - slope;
-    let inverse = (aim.half_per_texel - *derivative).inverse()?;
+    let inverse = (halves.half_per_texel - *derivative).inverse()?;
     let by = -(inverse * c);
     let stretch = inverse.rows.iter().flatten().map(|x| x * x).sum::<f64>();
     let size = half.length() + slope.length() + 1.0;
     by.is_finite().then(|| Step {
         by,
-        det: (aim.half_per_texel - *derivative).determinant().abs(),
+        det: (halves.half_per_texel - *derivative).determinant().abs(),
         rounding: 8.0 * f64::EPSILON * size * stretch.sqrt() + f64::EPSILON * t.length(),
     })
 }
 
 impl Patch {
     /// Whether no normal in the cell can be the half vector: a bilinear function stays between its corners.
-    pub fn excludes(&self, aim: &Aim, cell: [i64; 2]) -> bool {
+    pub fn excludes(&self, halves: &HalfVectors, cell: [i64; 2]) -> bool {
         if !self.slopes {
             return false;
         }
@@ -63,7 +68,7 @@ impl Patch {
                 cell[0] as f64 + (k & 1) as f64,
                 cell[1] as f64 + (k >> 1) as f64,
             );
-            aim.half(at) - slopes[k]
+            halves.half(at) - slopes[k]
         };
         let c = [0, 1, 2, 3].map(c);
         // Rounding must not exclude a root on a side.
@@ -75,7 +80,7 @@ impl Patch {
     /// A walk in a cell from `start` within it; the second value counts steps.
     pub fn walk(
         &self,
-        aim: &Aim,
+        halves: &HalfVectors,
         cell: [i64; 2],
         start: [f64; 2],
         most: u32,
@@ -84,7 +89,7 @@ impl Patch {
         let mut at = Vec2::new(start[0], start[1]);
         for n in 1..=most {
             let stepped = (self.slope(at.to_array()))
-                .and_then(|(slope, derivative)| step(aim, corner + at, slope, &derivative));
+                .and_then(|(slope, derivative)| step(halves, corner + at, slope, &derivative));
             let Some(step) = stepped else {
                 return (None, n);
             };
@@ -110,7 +115,7 @@ impl Patch {
 pub(super) fn over_footprint<P: Float>(
     map: &SlopeMap,
     theta: &Theta<P>,
-    aim: &Aim,
+    halves: &HalfVectors,
     start: Vec2<f64>,
     most: u32,
 ) -> (Option<Root>, u32) {
@@ -119,7 +124,7 @@ pub(super) fn over_footprint<P: Float>(
         let cell = cell_of(t);
         let local = [t.x - cell[0] as f64, t.y - cell[1] as f64];
         let stepped = (map.patch(theta, cell).slope(local))
-            .and_then(|(slope, derivative)| step(aim, t, slope, &derivative));
+            .and_then(|(slope, derivative)| step(halves, t, slope, &derivative));
         let Some(step) = stepped else {
             return (None, n);
         };
@@ -132,7 +137,7 @@ pub(super) fn over_footprint<P: Float>(
             return (Some(root), n);
         }
         let proposed = t + step.by * scale;
-        if aim.contains(proposed) {
+        if halves.contains(proposed) {
             t = proposed;
             scale = (2.0 * scale).min(1.0);
         } else {

@@ -21,112 +21,33 @@ use super::record::{
 };
 use super::rendering::{Components, NonFinite, PixelConnections, Rendering};
 use super::sink::{GradientSums, Sink};
+use super::solved::Solved;
 use super::tile::{Sample, place, start};
 use super::vertex::MODE;
 use crate::bsdf::{Bsdf, Component, Part, Shading};
 use crate::emitter::{Emission, Emitter};
 use crate::error::RenderError;
-use crate::estimator::{BsdfOnly, Detached, Sampling, Strategy};
+use crate::estimator::{BsdfOnly, Detached};
 use crate::manifold::{Connection, Connector, Link, Space, Split, Start, Statistics, cast};
 use crate::math::Rgb;
 use crate::parallel;
-use crate::params::{ParamInfo, ParamKind, Theta};
+use crate::params::Theta;
 use crate::sampler::{Family, Independent, Sampler};
-use crate::scene::{Connections, Scene, Settings, Starts};
+use crate::scene::{Connections, Scene, Starts};
 use crate::shape::SurfaceInteraction;
 
-/// Paths that are found by solving equations, chains or glints, in errors: they have no derivatives in what moves them, and some
-/// passes leave them out.
-pub(super) struct Solved {
-    /// What they are called.
-    pub these: &'static str,
-    /// The option that leaves them out.
-    pub option: &'static str,
-    /// Makes an error of a sentence.
-    pub error: fn(String) -> RenderError,
-}
-
-const CHAINS: Solved = Solved {
+/// Light over specular chains.
+pub(super) const CHAINS: Solved = Solved {
     these: "chains",
     option: "--manifold off",
     error: |what| RenderError::Connections { what },
+    is_sought: |settings| settings.connections.is_some(),
+    admits: |scene, settings| {
+        let connections = settings.connections.as_ref();
+        let split = connections.and_then(|c| Some((Split::of(scene, c)?, c.method)));
+        split.map_or(Ok(()), |(split, method)| split.admits(scene, method))
+    },
 };
-
-impl Solved {
-    /// Refuses derivatives that they do not have: those by paths that move as a whole, and those in parameters that move
-    /// something.
-    ///
-    /// # Errors
-    /// Names the parameter, or the reason.
-    pub fn check<'a, S: Strategy>(
-        &self,
-        moving: impl IntoIterator<Item = &'a ParamInfo>,
-    ) -> Result<(), RenderError> {
-        let Self {
-            these,
-            option,
-            error,
-        } = self;
-        if !S::Bsdf::DETACHED_PATH {
-            return Err(error(format!(
-                "whole paths that move have none; expected another estimator, or `{option}`"
-            )));
-        }
-        for info in moving {
-            match info.kind {
-                ParamKind::Smooth
-                | ParamKind::Emission
-                | ParamKind::Roughness
-                | ParamKind::Normals => {}
-                ParamKind::Delta
-                | ParamKind::Position
-                | ParamKind::VertexNormals
-                | ParamKind::Camera
-                | ParamKind::LightPosition => {
-                    let name = &info.name;
-                    return Err(error(format!(
-                        "parameter `{name}` moves {these}, which have derivatives only where they stay; expected `{option}`"
-                    )));
-                }
-            }
-        }
-        Ok(())
-    }
-
-    /// The error for a pass that leaves their light out; `whose`: what it computes.
-    pub fn left_out(&self, whose: &str) -> RenderError {
-        (self.error)(format!(
-            "{whose} leave out their light; expected `{}`",
-            self.option
-        ))
-    }
-}
-
-/// [`Solved::check`] and [`Split::admits`], if connections are made.
-pub(super) fn check<'a, S: Strategy>(
-    scene: &Scene,
-    settings: &Settings,
-    moving: impl IntoIterator<Item = &'a ParamInfo>,
-) -> Result<(), RenderError> {
-    let Some(connections) = &settings.connections else {
-        return Ok(());
-    };
-    if let Some(split) = Split::of(scene, connections) {
-        split.admits(scene, connections.method)?;
-    }
-    CHAINS.check::<S>(moving)
-}
-
-/// Refuses connections in a pass that leaves their light out; `whose`: what it computes.
-///
-/// # Errors
-/// The settings ask for connections.
-pub(super) fn refuse(settings: &Settings, whose: &str) -> Result<(), RenderError> {
-    match settings.connections {
-        Some(_) => Err(CHAINS.left_out(whose)),
-        None => Ok(()),
-    }
-}
 
 /// How paths scatter on their way to where they are connected, whatever the estimator of the others.
 pub(super) type Scattering = BsdfOnly<Detached>;
@@ -186,10 +107,7 @@ impl<'a> Connecting<'a> {
 
     /// Starts the path of a sample.
     fn restart(&mut self, seed: u64, at: &Sample) {
-        // Counted on the full film, so that a crop shows the same samples.
-        let film = &self.scene.film;
-        let [x, y] = [0, 1].map(|k: usize| u64::from(at.pixel[k] + film.crop_offset[k]));
-        let pixel = y * u64::from(film.size[0]) + x;
+        let (_, pixel) = self.scene.film.full_pixel(at.pixel);
         self.rng = Independent::new(Family::Connections.seed(seed), pixel, at.index);
         self.depth = 0;
         self.came_to = Statistics::default();
@@ -361,7 +279,7 @@ fn connector<'a, R: Real>(
     options: Connections,
 ) -> Connector<'a> {
     let mut connector = Connector::new(space, split, options);
-    if options.starts == Starts::Particles && !options.method.is_aimed() {
+    if options.starts == Starts::Particles && !options.method.is_deterministic() {
         let [width, height] = pass.scene.film.size.map(|n| n as usize);
         let [least, most] = PARTICLES;
         let particles = width

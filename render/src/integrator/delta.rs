@@ -17,7 +17,7 @@ pub(super) type Delta = (DeltaKind, u8);
 ///
 /// # Derivatives
 /// In `wo`, in theta and in the texture coordinates. Over plain numbers the direction is that of [`Bsdf::sample`], to rounding.
-pub(super) fn follow<R: Real>(
+pub(super) fn scatter<R: Real>(
     material: &Material,
     at: &Shading<R>,
     wo: Vec3<R>,
@@ -96,12 +96,12 @@ mod tests {
                 let Component::Delta { kind, route } = sample.component else {
                     continue;
                 };
-                let followed = follow(material, &at, wo, (kind, route));
+                let scattered = scatter(material, &at, wo, (kind, route));
                 if f.is_black() {
-                    assert!(followed.is_none(), "{text}");
+                    assert!(scattered.is_none(), "{text}");
                     continue;
                 }
-                let (wi, weight) = followed.unwrap_or_else(|| panic!("{kind:?}\n{text}"));
+                let (wi, weight) = scattered.unwrap_or_else(|| panic!("{kind:?}\n{text}"));
                 assert!((wi - sample.wi).length() < 1e-9, "{kind:?}\n{text}");
                 assert!((weight.g - f.g).abs() < 1e-9, "{kind:?}\n{text}");
                 met += 1;

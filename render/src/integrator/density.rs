@@ -36,7 +36,8 @@ use super::progress::Progress;
 use super::record::{Interest, Observer, Place};
 use super::rendering::{Components, NonFinite, Rendering};
 use super::tile::tiles;
-use super::vertex::interest::is_straight;
+use super::vertex::interest::PathInterest;
+use super::vertex::light::emitters_at;
 use super::vertex::roulette::{play, probability};
 use crate::bsdf::kernel::{Symmetry, eval_kernel};
 use crate::bsdf::{Bsdf, Component, DeltaKind, Shading, TransportMode};
@@ -390,12 +391,11 @@ impl<P: Float> Map<P> {
                     if progress.cancelled() {
                         return (sums, non_finite);
                     }
-                    let [px, py] = [x + film.crop_offset[0], y + film.crop_offset[1]];
-                    let pixel = u64::from(py) * u64::from(film.size[0]) + u64::from(px);
+                    let (at, pixel) = film.full_pixel([x, y]);
                     let l = self.radiance(
                         context,
                         convention,
-                        [px, py],
+                        at,
                         X::spread(context.settings.points, seed, pixel, index),
                     );
                     if l.is_finite() {
@@ -458,7 +458,7 @@ impl<P: Float> Map<P> {
         let mut beta = Rgb::splat(P::of(filter.weight(offset)));
         // Index of the medium around the ray over that around the camera.
         let mut eta = P::one();
-        let mut bent = false;
+        let mut interest = PathInterest::default();
         for depth in 1..=settings.max_depth {
             if depth % 64 == 0 && context.progress.cancelled() {
                 break;
@@ -468,13 +468,8 @@ impl<P: Float> Map<P> {
             let hit = (scene.seen(&ray, settings.hides(depth)))
                 .map(|hit| scene.interaction(&Theta::still(), &ray, &hit));
             let si = hit.as_ref().map(|h| &h.si);
-            let emitters = match &hit {
-                _ if settings.hides(depth) => Vec::new(),
-                None if settings.hides_sky(bent) => Vec::new(),
-                Some(h) => scene.shape_info(h.shape).emitter.into_iter().collect(),
-                None => scene.infinite_emitters().to_vec(),
-            };
-            for e in emitters {
+            let shape = hit.as_ref().map(|h| h.shape);
+            for &e in emitters_at(scene, settings, depth, interest.bent, shape) {
                 let e = &scene.emitters()[e as usize];
                 if let Some(emission) = e.hit(ray.d, si) {
                     l += beta * e.eval(theta, &emission) * meet;
@@ -520,7 +515,7 @@ impl<P: Float> Map<P> {
             let Some(sample) = material.sample(&at, wo, sampler.next_3d(), mode) else {
                 break;
             };
-            bent |= !is_straight(sample.component, [P::one(), sample.eta]);
+            interest.bend(sample.component, [P::one(), sample.eta]);
             let f = material.eval_component(&at, wo, sample.wi, sample.component, mode);
             beta = beta * f * sample.pdf.recip();
             if matches!(

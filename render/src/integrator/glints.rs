@@ -6,7 +6,7 @@
 use ad_core::{Float, Real, Vec2};
 
 use super::active::Active;
-use super::connections::{Solved, emission, vector};
+use super::connections::{emission, vector};
 use super::exact::ExactBuffer;
 use super::pass::Pass;
 use super::paths::{JOBS, TileSums, assemble, deposit};
@@ -14,47 +14,28 @@ use super::progress::Progress;
 use super::record::{Bounce, Contribution, MetLight, Observer, PathRecord, Place, Recorder};
 use super::rendering::{Components, NonFinite, Rendering};
 use super::sink::{GradientSums, Sink};
+use super::solved::Solved;
 use super::tile::{Sample, place, spot};
 use super::vertex::MODE;
 use crate::bsdf::{Bsdf, Component, DeltaKind, Part, Shading};
 use crate::emitter::Emitter;
 use crate::error::RenderError;
-use crate::estimator::{BsdfOnly, Detached, Strategy};
+use crate::estimator::{BsdfOnly, Detached};
 use crate::glint::{Finder, Footprint, Glint};
 use crate::manifold::{Statistics, cast};
 use crate::math::Rgb;
 use crate::parallel;
-use crate::params::ParamInfo;
 use crate::sampler::{Family, Independent, Points, Sampler};
-use crate::scene::{Scene, Settings};
+use crate::scene::Scene;
 
-const GLINTS: Solved = Solved {
+/// Glints that the camera sees.
+pub(super) const GLINTS: Solved = Solved {
     these: "glints",
     option: "--glints off",
     error: |what| RenderError::Glints { what },
+    is_sought: |settings| settings.glints.is_some(),
+    admits: |_, _| Ok(()),
 };
-
-/// [`Solved::check`], if glints are sought.
-pub(super) fn check<'a, S: Strategy>(
-    settings: &Settings,
-    moving: impl IntoIterator<Item = &'a ParamInfo>,
-) -> Result<(), RenderError> {
-    match settings.glints {
-        Some(_) => GLINTS.check::<S>(moving),
-        None => Ok(()),
-    }
-}
-
-/// Refuses glints in a pass that leaves their light out; `whose`: what it computes.
-///
-/// # Errors
-/// The settings ask for glints.
-pub(super) fn refuse(settings: &Settings, whose: &str) -> Result<(), RenderError> {
-    match settings.glints {
-        Some(_) => Err(GLINTS.left_out(whose)),
-        None => Ok(()),
-    }
-}
 
 /// Finds the glints of a pass, sample by sample.
 struct Seeking<'a, P: Float> {
@@ -104,16 +85,14 @@ impl<'a, P: Float> Seeking<'a, P> {
         let (scene, seed) = (self.scene, Family::Glints.seed(self.seed));
         self.found.clear();
         let (seen, _) = spot::<P, X>(scene, self.points, seed, sample.pixel, sample.index);
-        // Counted on the full film, so that a crop shows the same samples.
         let film = &scene.film;
-        let [px, py] = [0, 1].map(|k: usize| sample.pixel[k] + film.crop_offset[k]);
+        let (on_film, pixel) = film.full_pixel(sample.pixel);
         let [at, lens] = [seen.film, seen.lens].map(|x| x.map(P::to_f64));
-        let middle = [px, py].map(|p| f64::from(p) + 0.5);
+        let middle = on_film.map(|p| f64::from(p) + 0.5);
         let foot = Footprint::new(scene, at, lens, middle, self.hidden)?;
         if !self.glinty[foot.shape as usize] {
             return None;
         }
-        let pixel = u64::from(py) * u64::from(film.size[0]) + u64::from(px);
         let mut rng = Independent::new(seed, pixel, sample.index);
         // A weight of its own: the point is not that of the paths.
         let offset = [0, 1].map(|k: usize| at[k] - middle[k]);

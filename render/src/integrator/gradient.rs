@@ -3,10 +3,8 @@
 use ad_core::Float;
 
 pub use super::active::Active;
-use super::connections;
 use super::exact::ExactBuffer;
-use super::glints;
-use super::integrals::{Wanted, every};
+use super::integrals::{Wanted, check, every};
 use super::job::Job;
 use super::pass::{Integral, Pass, Question};
 use super::progress::Progress;
@@ -55,8 +53,7 @@ pub fn backward<P: Float, S: Unbiased, X: Sampler>(
     for info in active.ranges() {
         scene.admits_outlines::<S>(info, job.settings.max_depth)?;
     }
-    connections::check::<S>(scene, job.settings, &active.ranges)?;
-    glints::check::<S>(job.settings, &active.ranges)?;
+    check::<S>(scene, job.settings, &active.ranges)?;
     let pass = Pass::of::<S>(job, theta);
     Ok(pass.gradient::<S::Runs, X>(active, adjoint))
 }

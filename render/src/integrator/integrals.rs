@@ -17,8 +17,12 @@ use super::paths;
 use super::progress::Progress;
 use super::rendering::{Components, Rendering};
 use super::sink::GradientSums;
+use super::solved::Solved;
+use crate::error::RenderError;
 use crate::estimator::Strategy;
+use crate::params::ParamInfo;
 use crate::sampler::Sampler;
+use crate::scene::{Scene, Settings};
 
 /// What of a pass is asked for.
 #[derive(Clone, Copy, Debug)]
@@ -49,11 +53,11 @@ impl Progress for Share<'_> {
 }
 
 /// The list: of each its name, the module whose functions are its image and its gradient, for which strategies it is
-/// compiled (a constant, if not for all), and when a pass asks it.
+/// compiled (a constant, if not for all), when a pass asks it, and a [`Solved`] of the module, if it refuses anything.
 macro_rules! integrals {
     (|$wanted:ident| $(
         $(#[$doc:meta])*
-        $name:ident: $module:ident::<$($by:ty),*> $(if $of:expr)?, $asked:expr;
+        $name:ident: $module:ident::<$($by:ty),*> $(if $of:expr)?, $asked:expr $(, $solved:ident)?;
     )*) => {
         $(
             $(#[$doc])*
@@ -73,6 +77,9 @@ macro_rules! integrals {
                 }
             }
         )*
+
+        /// What refuses anything, in their order.
+        const SOLVED: &[Solved] = &[$($($module::$solved,)?)*];
 
         /// Asks every integral of a pass, one after the other, until it is cancelled.
         pub(super) fn every<S: Strategy, X: Sampler>(
@@ -106,13 +113,33 @@ integrals! {
     /// Caustics, along particles from the emitters.
     Particles: particle_gradient::<S, X>, wanted.light && wanted.finders.particles;
     /// Light over specular chains, by manifold connections.
-    Connections: connections::<X>, wanted.light && wanted.finders.connections;
+    Connections: connections::<X>, wanted.light && wanted.finders.connections, CHAINS;
     /// Lights in glinty surfaces.
-    Glints: glints::<X>, wanted.light && wanted.finders.glints;
+    Glints: glints::<X>, wanted.light && wanted.finders.glints, GLINTS;
     /// What vertices of paths that move do to light.
     Motion: motion::<S, X> if S::INTERIOR, wanted.motion;
     /// What outlines that move hide and show.
     Boundaries: boundary::<S::Still, X> if S::OUTLINES, wanted.motion;
     /// What moves, along directions that follow outlines.
     Convolved: convolved::<S, X> if S::FOLLOWS.any(), wanted.motion;
+}
+
+/// Asks every integral whether it has derivatives in what moves.
+///
+/// # Errors
+/// Those of [`Solved::check`].
+pub(super) fn check<'a, S: Strategy>(
+    scene: &Scene,
+    settings: &Settings,
+    moving: impl IntoIterator<Item = &'a ParamInfo> + Clone,
+) -> Result<(), RenderError> {
+    (SOLVED.iter()).try_for_each(|solved| solved.check::<S>(scene, settings, moving.clone()))
+}
+
+/// Asks every integral whether a pass over paths alone has all light that the settings ask for; `whose`: what it computes.
+///
+/// # Errors
+/// Those of [`Solved::check_absent`].
+pub(super) fn check_paths_alone(settings: &Settings, whose: &str) -> Result<(), RenderError> {
+    (SOLVED.iter()).try_for_each(|solved| solved.check_absent(settings, whose))
 }

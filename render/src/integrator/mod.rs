@@ -39,6 +39,7 @@ pub mod reparameterisation;
 pub mod second_order;
 pub mod simple;
 mod sink;
+mod solved;
 mod sparse;
 mod tile;
 pub mod vertex;

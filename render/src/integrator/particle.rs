@@ -22,15 +22,15 @@ use ad_core::{Float, Real, Vec2, Vec3};
 
 use super::lockstep::{self, GROUP, Traveller};
 use super::progress::Progress;
-use super::projection_map::aim_at_casters;
+use super::projection_map::turn_to_casters;
 use super::record::{
     Bounce, Contribution, EmittedLight, NormalsLight, Observer, Place, SeenVertex,
 };
 use super::rendering::{Components, NonFinite, Rendering};
-use super::vertex::interest::has_pair;
 use super::vertex::light::{has_tangent, matters};
+use super::vertex::normals::{has_pair, normals_pair};
 use super::vertex::roulette::{play, probability, roulette_weight};
-use super::vertex::{assert_finite, part_of};
+use super::vertex::{assert_finite, has_more, part_of};
 use crate::bsdf::differential::Part;
 use crate::bsdf::kernel::{Rules, kernel_weight};
 use crate::bsdf::{Bsdf, Component, Material, Shading, TransportMode};
@@ -266,17 +266,17 @@ impl<R: Real, X: Sampler> Particle<R, X> {
         if n == 0 {
             return this;
         }
-        // What to aim at, if at anything, is chosen with the emitter, from one number.
+        // The caster to turn to, if there is one, is chosen with the emitter, from one number.
         let targets = if context.caustics_only {
             scene.casters()
         } else {
             &[]
         };
-        let aims = targets.len().max(1);
+        let per_emitter = targets.len().max(1);
         let sampler = &mut this.sampler;
-        let (index, target) = match n * aims {
+        let (index, target) = match n * per_emitter {
             1 => (0, 0),
-            _ => scene.shares().choose(sampler.next_bits(), aims),
+            _ => scene.shares().choose(sampler.next_bits(), per_emitter),
         };
         let [a, b] = sampler.next_2d::<R::Primal>();
         let [c, d] = sampler.next_2d::<R::Primal>();
@@ -303,8 +303,8 @@ impl<R: Real, X: Sampler> Particle<R, X> {
         };
         if !targets.is_empty() {
             let u = if e.is_infinite() { [a, b] } else { [c, d] };
-            match aim_at_casters(e, context.ball, targets, target, start, u) {
-                Some(aimed) => start = aimed,
+            match turn_to_casters(e, context.ball, targets, target, start, u) {
+                Some(turned) => start = turned,
                 None => return this,
             }
         }
@@ -423,7 +423,7 @@ impl<R: Real, X: Sampler> Particle<R, X> {
         let depth = self.depth;
         let si = &hit.si;
         let info = scene.shape_info(hit.shape);
-        if context.caustics_only && depth == 1 && !info.glossy {
+        if context.caustics_only && depth == 1 && !info.throws_caustics() {
             return;
         }
         let here = Here::new(context, &ray, &hit);
@@ -438,10 +438,10 @@ impl<R: Real, X: Sampler> Particle<R, X> {
             observer.vertex(self.beta, &place);
         }
         let unseen = info.delta || (info.emitter.is_some() && context.settings.hides(1));
-        if O::CONNECTS && !unseen && !(context.caustics_only && info.glossy) {
+        if O::CONNECTS && !unseen && (!context.caustics_only || info.shows_caustics()) {
             self.connect::<O>(context, &here);
         }
-        if depth + 1 >= context.settings.max_depth {
+        if !has_more(depth, context.settings) {
             return;
         }
         let splits = context.differential
@@ -579,8 +579,7 @@ impl<R: Real, X: Sampler> Particle<R, X> {
         this
     }
 
-    /// Samples the change of normals at the vertex `hit`. Both samples go on as particles made of the same
-    /// numbers: what they bring is alike, and its noise cancels.
+    /// Samples the change of normals at the vertex `hit`, and follows both samples to their ends.
     #[inline(never)]
     fn split<O: ParticleObserver<R>>(
         &self,
@@ -609,9 +608,8 @@ impl<R: Real, X: Sampler> Particle<R, X> {
         let material = scene.material(hit.shape);
         let at = Shading::new(theta, si.uv);
         let mut sampler = self.sampler;
-        sampler.seek(Purpose::ParticleNormalsPair.at(self.depth));
-        let pair = material.sample_differential(&at, wo, sampler.next_3d(), MODE);
-        for sample in pair.into_iter().flatten() {
+        let dimension = Purpose::ParticleNormalsPair.at(self.depth);
+        for sample in normals_pair(material, &at, wo, MODE, &mut sampler, dimension) {
             let shading = kernel_weight(n_geo, [wo, sample.wi], MODE, context.rules);
             let weight = shading / sample.pdf;
             if weight == R::Primal::zero() || !weight.is_finite() {

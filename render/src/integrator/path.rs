@@ -10,12 +10,13 @@ use super::direct::{
 use super::lockstep::{self, Traveller};
 use super::progress::Progress;
 use super::record::{Bounce, Contribution, MetLight, NormalsLight, Observer, Place, SampledLight};
-use super::vertex::interest::{PathInterest, splits};
+use super::vertex::interest::PathInterest;
 use super::vertex::light::{
-    LitVertex, Looking, choose, counts_hits, density, find_lights, frozen_pdf, guide_of, guided,
-    has_rival, has_tangent, is_along_delta, is_led, matters, mis_weight, mixed, normals_weight,
+    LitVertex, Looking, choose, density, emitters_at, find_lights, frozen_pdf, guide_of, guided,
+    has_rival, has_tangent, is_along_delta, is_led, looks_for_light, matters, mis_weight, mixed,
     per_density, weighs,
 };
+use super::vertex::normals::{normals_pair, normals_weight, splits};
 use super::vertex::roulette::{MAX_SURVIVAL, play, probability, roulette_weight};
 use super::vertex::{MODE, assert_finite, has_more, may_go_on, part_of};
 use crate::bsdf::{Bsdf, Material, Part, Shading, TextureRef};
@@ -283,15 +284,10 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         }
 
         // ---- Light at the end of the edge ----
-        let emitters = match &hit {
-            Some(hit) => scene.shape_info(hit.shape).emitter.as_slice(),
-            None => scene.infinite_emitters(),
-        };
-        let hidden = match &hit {
-            Some(_) => context.settings.hides(self.depth),
-            None => context.settings.hides_sky(self.interest.bent),
-        };
-        if !emitters.is_empty() && !hidden && self.interest.lit(observer) {
+        let (settings, bent) = (context.settings, self.interest.bent);
+        let shape = hit.as_ref().map(|hit| hit.shape);
+        let emitters = emitters_at(scene, settings, self.depth, bent, shape);
+        if !emitters.is_empty() && self.interest.lit(observer) {
             let end = hit.map(|hit| (hit.prim, hit.si));
             self.find_lights(context, emitters, ray.d, end, observer);
         }
@@ -503,9 +499,8 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         let theta = context.theta.primal();
         let still = context.still(&theta);
         let sampler = &mut self.sampler;
-        sampler.seek(Purpose::NormalsPair.at(self.depth));
-        let pair = material.sample_differential(&at, wo, sampler.next_3d(), MODE);
-        for sample in pair.into_iter().flatten() {
+        let dimension = Purpose::NormalsPair.at(self.depth);
+        for sample in normals_pair(material, &at, wo, MODE, sampler, dimension) {
             let change = if R::IS_PRIMAL {
                 Rgb::black()
             } else {
@@ -514,24 +509,17 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
             if !O::ENABLED && !has_tangent(change) {
                 continue;
             }
-            // From here on both are ordinary paths of this throughput, made of the same numbers: what
-            // they find is alike, and its noise cancels.
             let d = si.frame.to_world(sample.wi);
             let ray = si.spawn_ray(d, here.exit);
-            let mut interest = self.interest;
             let reflects = wo.z * sample.wi.z > R::Primal::zero();
-            interest.leave_by(context.split, here.info.material, false, reflects);
+            let interest = (self.interest).branch(context.split, here.info.material, reflects);
             let mut walk = Walk::<R::Primal, S, X> {
                 beta: self.beta.primal(),
                 pdf_bsdf: sample.pdf,
                 from: Vec3::lift(si.p),
                 depth: self.depth + 1,
                 eta: self.eta * sample.eta,
-                interest: PathInterest {
-                    active: false,
-                    bent: true,
-                    ..interest
-                },
+                interest,
                 ..Walk::new(Ray::lift(ray), *sampler)
             };
             walk.go(&still, &mut ());
@@ -680,12 +668,10 @@ impl<R: Real, S: Strategy, X: Sampler> Walk<R, S, X> {
         (self.interest).leave_by(context.split, info.material, along_delta, reflects);
         self.from = si.p;
         let ray = si.spawn_ray(si.frame.to_world(sample.wi), here.exit);
-        // The last edge only looks for light, and only where light that is hit counts.
-        let last = self.depth >= settings.max_depth;
-        let counts = counts_hits::<S, R::Primal>(self.pdf_bsdf.primal());
-        if !last || (counts && scene.may_meet_light(&ray.primal())) {
-            self.ray = Some(ray);
-        }
+        let pdf = self.pdf_bsdf.primal();
+        let is_of_use = has_more(depth, settings)
+            || looks_for_light::<S, _>(pdf, scene.may_meet_light(&ray.primal()));
+        self.ray = is_of_use.then_some(ray);
     }
 
     /// Differentiates the survival probability `q` (F5): the channel of the throughput that it is in proportion to, if any.

@@ -33,7 +33,7 @@ fn mean<P: Float>(balls: &[Ball], density: impl Fn(usize, &Ball) -> P) -> P {
 ///
 /// # Reference
 /// Projection maps [Jensen 1996], with balls in place of a grid.
-pub(super) fn aim_at_casters<P: Float>(
+pub(super) fn turn_to_casters<P: Float>(
     emitter: &AnyEmitter,
     around: Option<Ball>,
     balls: &[Ball],

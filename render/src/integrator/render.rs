@@ -2,9 +2,7 @@
 
 use ad_core::Real;
 
-use super::connections;
-use super::glints;
-use super::integrals::{Wanted, every};
+use super::integrals::{Wanted, check, every};
 use super::job::Job;
 use super::pass::{Integral, Pass, Question};
 pub use super::progress::Progress;
@@ -37,8 +35,7 @@ pub fn render<R: Components, S: Unbiased, X: Sampler>(
             scene.admits_motion::<S>(info)?;
             scene.admits_outlines::<S>(info, job.settings.max_depth)?;
         }
-        connections::check::<S>(scene, job.settings, moving.clone())?;
-        glints::check::<S>(job.settings, moving)?;
+        check::<S>(scene, job.settings, moving)?;
     }
     Ok(unchecked::<R, S, X>(job, theta))
 }

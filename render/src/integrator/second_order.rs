@@ -48,8 +48,7 @@
 use ad_core::Float;
 
 use super::active::Active;
-use super::connections;
-use super::glints;
+use super::integrals::check_paths_alone;
 use super::job::Job;
 use super::pass::Pass;
 use super::path::Context;
@@ -103,8 +102,7 @@ pub fn hessian_vector<P: Float, X: Sampler>(
             found: direction.len(),
         });
     }
-    connections::refuse(job.settings, "second derivatives")?;
-    glints::refuse(job.settings, "second derivatives")?;
+    check_paths_alone(job.settings, "second derivatives")?;
     let pass = Pass::new(job, theta, Caustics::Paths);
     let along = |p: ParamRef, element: u32| {
         let place = active.place(p).map(|at| at + element as usize);
@@ -174,8 +172,7 @@ pub fn gauss_newton<P: Float, X: Sampler>(
             found: n as u64,
         });
     }
-    connections::refuse(job.settings, "second derivatives")?;
-    glints::refuse(job.settings, "second derivatives")?;
+    check_paths_alone(job.settings, "second derivatives")?;
     let pass = Pass::new(job, theta, Caustics::Paths);
     let spp = pass.samples.end.saturating_sub(pass.samples.start);
     if spp < 2 {

@@ -25,8 +25,8 @@
 use ad_core::{Float, Real, Vec2, Vec3};
 
 use super::vertex::MODE;
-use super::vertex::interest::is_straight;
-use super::vertex::light::{density, mis_weight};
+use super::vertex::interest::PathInterest;
+use super::vertex::light::{density, emitters_at, mis_weight};
 use crate::bsdf::{Bsdf, Component, Part, Shading, Use};
 use crate::emitter::{Emission, Emitter};
 use crate::estimator::{DetachedMis, Strategy};
@@ -87,22 +87,17 @@ pub fn trace<P: Float>(
     let (mut here, mut step) = (vertex(Rgb::splat(P::one()), None), Rgb::splat(P::one()));
     // The point there, and the density of the direction: zero for the camera and for mirrors.
     let (mut from, mut pdf) = (ray.o, P::zero());
-    let mut bent = false;
+    let mut interest = PathInterest::default();
     for depth in 1..=max_depth {
         // ---- Light that the edge meets ----
-        let hidden = scene.settings.hides(depth);
-        let hit = scene.seen(&ray, hidden);
+        let hit = scene.seen(&ray, scene.settings.hides(depth));
         let hit = hit.map(|hit| scene.interaction(&Theta::still(), &ray, &hit));
         let si = hit.as_ref().map(|hit| &hit.si);
-        let emitters = match &hit {
-            _ if hidden => &[],
-            None if scene.settings.hides_sky(bent) => &[],
-            Some(hit) => scene.shape_info(hit.shape).emitter.as_slice(),
-            None => scene.infinite_emitters(),
-        };
-        for &emitter in emitters {
+        let shape = hit.as_ref().map(|hit| hit.shape);
+        for &emitter in emitters_at(scene, &scene.settings, depth, interest.bent, shape) {
             let e = &scene.emitters()[emitter as usize];
             if let Some(emission) = e.hit(ray.d, si) {
+                // In full, to be read: `find_light` has the same for all strategies.
                 let weight = if pdf > P::zero() {
                     let rival = e.pdf(scene.lights(), from, ray.d, si) * share(emitter);
                     DetachedMis::weight_hit(pdf, rival)
@@ -157,7 +152,7 @@ pub fn trace<P: Float>(
         let weight = sample.pdf.recip();
         here.edge = Some((sample.wi, sample.component, weight));
         step = f * weight;
-        bent |= !is_straight(sample.component, [P::one(), sample.eta]);
+        interest.bend(sample.component, [P::one(), sample.eta]);
         (from, pdf) = (si.p, density(sample.component, || sample.pdf));
         ray = si.spawn_ray(si.frame.to_world(sample.wi), exit);
     }

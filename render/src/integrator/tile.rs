@@ -119,24 +119,21 @@ pub(super) fn spot<P: Float, X: Sampler>(
     (CameraSample { film, lens }, sampler)
 }
 
-/// The pixel on the full film, on which pixels are counted so that a crop shows the same samples, and all numbers of a
-/// sample of it.
+/// The pixel on the full film, and all numbers of a sample of it.
 #[inline(always)]
 fn stream<X: Sampler>(
     scene: &Scene,
     points: Points,
     seed: u64,
-    [x, y]: [u32; 2],
+    pixel: [u32; 2],
     index: u64,
 ) -> ([u32; 2], X) {
-    let film = &scene.film;
-    let [px, py] = [x + film.crop_offset[0], y + film.crop_offset[1]];
-    let pixel = u64::from(py) * u64::from(film.size[0]) + u64::from(px);
-    let mut sampler = X::spread(points, seed, pixel, index);
+    let (at, number) = scene.film.full_pixel(pixel);
+    let mut sampler = X::spread(points, seed, number, index);
     if scene.camera.has_lens() {
         sampler.seek(Purpose::Lens.at(1));
     }
-    ([px, py], sampler)
+    (at, sampler)
 }
 
 /// The point of the image that a sample of a pass sees, and the place on the lens.

@@ -189,7 +189,12 @@ impl<'a> Space<'a> {
 
     /// The chain with the same events on the same shapes as `like`, by the surfaces' own normals, that leaves in the unit
     /// direction `d`. `None` where it meets something else, or light goes on otherwise.
-    pub fn follow(&self, start: &Start, d: Vec3<f64>, like: &[(u32, DeltaKind)]) -> Option<Chain> {
+    pub fn trace_own(
+        &self,
+        start: &Start,
+        d: Vec3<f64>,
+        like: &[(u32, DeltaKind)],
+    ) -> Option<Chain> {
         let own = |&(shape, kind): &(u32, DeltaKind)| Event {
             shape,
             kind,
@@ -198,7 +203,7 @@ impl<'a> Space<'a> {
         self.trace(start, d, &like.iter().map(own).collect::<Events>())
     }
 
-    /// [`Space::follow`] with normals of any kind.
+    /// [`Space::trace_own`] with normals of any kind.
     pub fn trace(&self, start: &Start, d: Vec3<f64>, like: &[Event]) -> Option<Chain> {
         let mut chain = Chain::new();
         let (mut si, mut exit, mut d) = (start.si, start.exit, d);

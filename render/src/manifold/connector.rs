@@ -277,7 +277,7 @@ impl<'a> Connector<'a> {
                 out.extend(found.iter().filter_map(|f| self.worth(f, &light)));
             }
             Method::Mnee | Method::MneeUnbiased => {
-                let mut starts = self.aimed(&estimate).into_iter();
+                let mut starts = self.deterministic_starts(&estimate).into_iter();
                 let n = starts.len() as u32;
                 let walk = || {
                     let seed = starts.next()?;
@@ -617,7 +617,7 @@ impl<'a> Connector<'a> {
     }
 
     /// Straight at the light, through whatever refracts, and at the middle of what reflects.
-    pub(super) fn aimed(&self, estimate: &Estimate) -> Vec<Seed> {
+    pub(super) fn deterministic_starts(&self, estimate: &Estimate) -> Vec<Seed> {
         let &Estimate {
             start,
             target,

@@ -67,25 +67,27 @@ impl Connector<'_> {
         let mut ignored = Statistics::default();
         let same = |v: &Event, e: &Event| v.shape == e.shape && v.kind == e.kind;
         let mut own = None;
-        self.aimed(&estimate).into_iter().any(|seed| {
-            let alike = seed.like.len() == events.len()
-                && seed.like.iter().zip(&events).all(|(v, e)| same(v, e));
-            if !alike {
-                return false;
-            }
-            let Some(found) = self.walk(&estimate, seed, &mut ignored) else {
-                return false;
-            };
-            // The path is a root but for rounding; a walk from there takes that away.
-            let own = own.get_or_insert_with(|| {
-                let d = (met.links[0].si.p - met.start.si.p).normalize();
-                let like = events.clone();
-                self.walk(&estimate, Seed { d, like }, &mut Statistics::default())
-            });
-            own.as_ref()
-                .is_some_and(|own| found.is(own, self.options.uniqueness))
-                && self.worth(&found, &light).is_some()
-        })
+        self.deterministic_starts(&estimate)
+            .into_iter()
+            .any(|seed| {
+                let alike = seed.like.len() == events.len()
+                    && seed.like.iter().zip(&events).all(|(v, e)| same(v, e));
+                if !alike {
+                    return false;
+                }
+                let Some(found) = self.walk(&estimate, seed, &mut ignored) else {
+                    return false;
+                };
+                // The path is a root but for rounding; a walk from there takes that away.
+                let own = own.get_or_insert_with(|| {
+                    let d = (met.links[0].si.p - met.start.si.p).normalize();
+                    let like = events.clone();
+                    self.walk(&estimate, Seed { d, like }, &mut Statistics::default())
+                });
+                own.as_ref()
+                    .is_some_and(|own| found.is(own, self.options.uniqueness))
+                    && self.worth(&found, &light).is_some()
+            })
     }
 
     /// What happened at a vertex of a path. `None` where no facet scatters like that.

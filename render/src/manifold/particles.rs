@@ -38,7 +38,7 @@ impl Connector<'_> {
         let (space, split) = (&self.space, self.split);
         let e = &space.scene.emitters()[self.any_emitter(rng) as usize];
         let caster = self.any_caster(rng) as usize;
-        let aim = &space.scene.shapes()[caster];
+        let caster_shape = &space.scene.shapes()[caster];
         let ([a, b], [c, d]) = (rng.next_2d::<f64>(), rng.next_2d::<f64>());
         let around = self.around[caster];
         let sent = e.sample_ray(&space.theta, space.scene.lights(), around, [a, b, c, d])?;
@@ -48,7 +48,7 @@ impl Connector<'_> {
         } else {
             let si = sent.surface.map(|(_, si)| si);
             let o = si.map_or(sent.ray.o, |si| si.p);
-            let d = aim.sample(o, rng.next_2d::<f64>())?.d;
+            let d = caster_shape.sample(o, rng.next_2d::<f64>())?.d;
             e.leaves(d, si.as_ref())?;
             si.map_or(Ray::new(o, d), |si| si.spawn_ray(d, sent.exit))
         };

@@ -218,8 +218,8 @@ fn the_two_anchors_differ_by_squared_indices() {
     let outside = Vec3::new(1.0, 20.0, 0.5);
     for (at, bounces, ratio) in [(inside, 1, 2.25), (outside, 2, 1.0)] {
         let like = vec![(1u32, DeltaKind::Transmission); bounces];
-        let aim = (Vec3::new(0.0, 3.0, 0.0) - start.si.p).normalize();
-        let chain = space.follow(&start, aim, &like).expect("glass");
+        let to = (Vec3::new(0.0, 3.0, 0.0) - start.si.p).normalize();
+        let chain = space.trace_own(&start, to, &like).expect("glass");
         let there = space
             .walk(&start, chain, &Target::Point(at))
             .solution
@@ -229,7 +229,7 @@ fn the_two_anchors_differ_by_squared_indices() {
         back.si.p = at;
         back.exit = crate::shape::Exit::default();
         let d = (there.chain.last().expect("a vertex").si.p - at).normalize();
-        let chain = space.follow(&back, d, &like).expect("glass");
+        let chain = space.trace_own(&back, d, &like).expect("glass");
         let again = space
             .walk(&back, chain, &Target::Point(start.si.p))
             .solution
@@ -496,13 +496,13 @@ fn chains_move_as_the_implicit_function_theorem_says() {
                 setting.values[at] += t;
             }
             let start = setting.floor(x, z);
-            let aim = if reflects {
+            let to = if reflects {
                 Vec3::new(1.6, 3.4, 0.2)
             } else {
                 Vec3::new(0.0, 3.0, 0.0)
             };
             let space = setting.space(Constraint::Angle);
-            let chain = space.follow(&start, (aim - start.si.p).normalize(), &like);
+            let chain = space.trace_own(&start, (to - start.si.p).normalize(), &like);
             let walked = space.walk(&start, chain.expect("a chain"), &Target::Point(target));
             let solution = walked.solution.expect("a solution");
             (setting, start, solution)

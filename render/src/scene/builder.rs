@@ -360,7 +360,7 @@ impl Builder {
             .filter(|&i| emitters[i as usize].is_infinite())
             .collect();
         let flips = self.materials.iter().any(|m| flips_normals(m));
-        let lit_things = self.infos.iter().any(|i| !i.glossy) && !emitters.is_empty();
+        let lit_things = self.infos.iter().any(ShapeInfo::shows_caustics) && !emitters.is_empty();
         let wanted = Wanted {
             lamps: infinite.iter().all(|&i| emitters[i as usize].is_delta()),
             casters: lit_things && !flips,

@@ -49,7 +49,7 @@ pub enum Method {
 
 impl Method {
     /// Whether walks have one start, which is not random.
-    pub fn is_aimed(self) -> bool {
+    pub fn is_deterministic(self) -> bool {
         matches!(self, Self::Mnee | Self::MneeUnbiased)
     }
 

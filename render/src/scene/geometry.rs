@@ -289,7 +289,7 @@ impl Wanted {
             None
         };
         let casters = if self.casters {
-            balls(shapes, infos, |i| i.glossy).unwrap_or_default()
+            balls(shapes, infos, ShapeInfo::throws_caustics).unwrap_or_default()
         } else {
             Vec::new()
         };

@@ -226,6 +226,20 @@ pub struct ShapeInfo {
     pub hints: Hints,
 }
 
+impl ShapeInfo {
+    /// Whether light that it scatters first, if it falls on what [shows](ShapeInfo::shows_caustics) them, is that of caustics.
+    #[inline(always)]
+    pub(crate) fn throws_caustics(&self) -> bool {
+        self.glossy
+    }
+
+    /// Whether caustics are told from other light where the camera sees it.
+    #[inline(always)]
+    pub(crate) fn shows_caustics(&self) -> bool {
+        !self.glossy
+    }
+}
+
 /// A scene. Which shapes there are is fixed; parameters can be changed with [`Scene::set_params`].
 ///
 /// Under an even sky a convex body of reflectance `rho` has the radiance `rho` times that of the sky, whatever its shape:

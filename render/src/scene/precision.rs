@@ -78,8 +78,8 @@ pub(super) fn warn_of_layers(nodes: &[&Arc<Node>], build: &Builder) {
     let (mut all, mut shapes) = (Vec::new(), Vec::new());
     for (i, shape) in build.shapes().iter().enumerate() {
         // The planes of triangles of instances are known to their mesh alone, and curves have none.
-        let left_out = matches!(shape, AnyShape::Instance(_) | AnyShape::Curves(_));
-        if !left_out && build.emitter_of(i).is_none() {
+        let planeless = matches!(shape, AnyShape::Instance(_) | AnyShape::Curves(_));
+        if !planeless && build.emitter_of(i).is_none() {
             all.extend(sheets(&shape.primitives()));
             shapes.resize(all.len(), i);
         }

@@ -66,7 +66,7 @@ pub(super) fn connections(node: &Node) -> Result<Connections, SceneError> {
     let trials = trials(node)?;
     let method = method(node, trials)?;
     let starts = match node.boolean("twostage")? {
-        Some(_) if method.is_aimed() => {
+        Some(_) if method.is_deterministic() => {
             node.ignore(&["twostage"], Node::boolean)?;
             Starts::default()
         }
@@ -116,9 +116,9 @@ pub(super) fn connections(node: &Node) -> Result<Connections, SceneError> {
 /// The estimator of `path_sms_ss` and `path_sms_ms`.
 fn method(node: &Node, trials: Option<u32>) -> Result<Method, SceneError> {
     let biased = node.boolean_or("biased", false)?;
-    let aimed = node.boolean_or("mnee_init", false)?;
+    let deterministic = node.boolean_or("mnee_init", false)?;
     let alone = node.boolean("biased_mnee")?;
-    if aimed {
+    if deterministic {
         return Ok(if alone == Some(true) {
             Method::Mnee
         } else {

@@ -2,8 +2,8 @@
 
 use ad_core::{Const, Float, Real, Vec2, Vec3};
 
+use super::mesh_data::{MeshData, smooth_normals};
 use super::welding::Welding;
-use super::{MeshData, smooth_normals};
 use crate::math::each;
 use crate::params::{GradSink, ParamRef, Params, Theta};
 use crate::texture::ScalarTexture;

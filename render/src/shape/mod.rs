@@ -43,6 +43,8 @@ mod disk;
 mod displacement;
 mod instance;
 mod mesh;
+mod mesh_data;
+mod mesh_motion;
 mod mesh_plugins;
 mod partials;
 mod patch;
@@ -60,7 +62,8 @@ pub use disk::Disk;
 pub use displacement::HEIGHTS;
 pub use instance::Instance;
 pub(crate) use mesh::plain_obj;
-pub use mesh::{Mesh, MeshData, ObjOptions, smooth_normals};
+pub use mesh::{Mesh, ObjOptions};
+pub use mesh_data::{MeshData, smooth_normals};
 pub use partials::Partials;
 pub use patch::{Patch, Rectangle};
 pub use sphere::Sphere;
@@ -165,10 +168,10 @@ impl<R: Real> SurfaceInteraction<R> {
         let Ray { o, d, from } = self.spawn_ray(d, exit);
         let way = self.p + d * distance - o;
         let length = way.length_squared().sqrt();
-        let aimed = way * length.recip();
+        let towards = way * length.recip();
         // Without a branch: waves of paths do this in vectors.
         let finite = distance.primal() <= R::Primal::MAX;
-        let d = Vec3::select(finite, aimed, d);
+        let d = Vec3::select(finite, towards, d);
         let length = length * R::c(1.0 - SHADOW_EPSILON);
         Segment {
             ray: Ray { o, d, from },

@@ -12,7 +12,8 @@ use ply_rs_bw::ply::{
 };
 use smallvec::SmallVec;
 
-use super::mesh::{Mesh, MeshData, ObjOptions};
+use super::mesh::{Mesh, ObjOptions};
+use super::mesh_data::MeshData;
 use crate::error::{SceneError, quoted};
 use crate::files;
 use crate::image_io::srgb_to_linear;

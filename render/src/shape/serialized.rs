@@ -5,7 +5,8 @@ use std::path::Path;
 
 use flate2::bufread::ZlibDecoder;
 
-use super::mesh::{Mesh, MeshData, ObjOptions};
+use super::mesh::{Mesh, ObjOptions};
+use super::mesh_data::MeshData;
 use super::ply::add_vertex;
 use crate::error::{SceneError, quoted};
 use crate::files;

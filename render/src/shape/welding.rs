@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use super::MeshData;
+use super::mesh_data::MeshData;
 use crate::math::each;
 
 /// Which vertices of a mesh are one point: those at equal positions, whatever their normals and texture coordinates are.

@@ -59,7 +59,7 @@ impl Case<'_> {
         let at = self.lamp_at(u);
         let target = Target::Point(at);
         let like = [(self.shape, DeltaKind::Transmission)];
-        let chain = space.follow(start, (at - start.si.p).normalize(), &like)?;
+        let chain = space.trace_own(start, (at - start.si.p).normalize(), &like)?;
         // Nothing, where the walk fails.
         let solution = space.walk(start, chain, &target).solution?;
         let vertex = &solution.chain[0];
@@ -82,7 +82,7 @@ impl Case<'_> {
         back.exit = Exit::default();
         let like = [(self.shape, DeltaKind::Transmission)];
         let d = (there.chain[0].si.p - at).normalize();
-        let chain = space.follow(&back, d, &like)?;
+        let chain = space.trace_own(&back, d, &like)?;
         let target = Target::Point(start.si.p);
         let again = space.walk(&back, chain, &target).solution?;
         Some(again.angle_per_target())

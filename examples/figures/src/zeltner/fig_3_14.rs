@@ -116,7 +116,7 @@ fn shown(fig: &mut Figure, [scene, basins, of_counts]: [&str; 3], ring: &Laborat
     let like = [(SHAPE, DeltaKind::Reflection)];
     let end = |u: [f64; 2]| {
         let d = shape.sample(start.si.p, u)?.d;
-        let chain = space.follow(&start, d, &like)?;
+        let chain = space.trace_own(&start, d, &like)?;
         let solution = space.walk(&start, chain, &target).solution?;
         found.iter().position(|s| same(s, &solution))
     };

@@ -200,7 +200,7 @@ fn ring(fig: &mut Figure, [name, picture]: [&str; 2], scene: Scene) -> Result {
             let d = shape
                 .sample(start.si.p, [at(i % size), 1.0 - at(i / size)])?
                 .d;
-            let chain = space.follow(&start, d, &like)?;
+            let chain = space.trace_own(&start, d, &like)?;
             let found = space.walk(&start, chain, &target).solution?;
             // In front of the bumps, too.
             let vertex = &found.chain[0];

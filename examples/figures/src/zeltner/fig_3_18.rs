@@ -99,7 +99,7 @@ impl Walks<'_> {
     /// Newton's method with the step control of the renderer, and how many steps it tried.
     fn walk(&self, towards: Vec3<f64>) -> (Option<Solution>, u32) {
         let Self { space, start, .. } = self;
-        let Some(mut chain) = space.follow(start, towards, &LIKE) else {
+        let Some(mut chain) = space.trace_own(start, towards, &LIKE) else {
             return (None, 0);
         };
         let (target, mut part, mut tried) = (Target::Point(self.lamp), 1.0, 0);
@@ -136,7 +136,7 @@ impl Walks<'_> {
             let less = loop {
                 tried += 1;
                 let q = first.p - (s * step.x + t * step.y) * part;
-                let found = space.follow(start, (q - start.si.p).normalize(), &LIKE);
+                let found = space.trace_own(start, (q - start.si.p).normalize(), &LIKE);
                 let found = found.and_then(|chain| {
                     let (at, now) = value(&chain)?;
                     (now.length() < c.length()).then_some((chain, at, now))

@@ -122,7 +122,7 @@ pub fn figure(fig: &mut Figure) -> Result {
         let d = (Vec3::from(CENTRE) + inside - start.si.p).normalize();
         let at = Vec3::new(8.0, 6.0, 0.0) + warp::square_to_sphere(rng.next_2d::<f64>()) * 2.0;
         let target = Target::Point(at);
-        let Some(chain) = space.follow(&start, d, &LIKE) else {
+        let Some(chain) = space.trace_own(&start, d, &LIKE) else {
             continue;
         };
         let frame = equator(at - start.si.p);

@@ -4,46 +4,44 @@ use render::instances::Estimator;
 
 use super::sweeps::{Of, STRIPES, Sweep, lobe_width};
 use super::{Finding, Report, Row};
-use crate::cli::can;
 use crate::sheet::{Curve, Look, Mark, Plot, Sheet};
 
 /// How the curves of estimators look: a colour, and whether they are dashed.
-type Looks = [(&'static str, [u8; 3], bool)];
+type Looks = [(Estimator, [u8; 3], bool)];
 
 /// One colour per way of sampling the BSDF [Okabe and Ito 2008]; dashed together with light sampling.
 const LOOKS: &Looks = &[
-    ("emitter", [86, 180, 233], false),
-    ("detached", [213, 94, 0], false),
-    ("attached", [0, 158, 115], false),
-    ("reparameterised", [0, 114, 178], false),
-    ("differential", [204, 121, 167], false),
-    ("biased-weights", [120, 120, 120], false),
-    ("biased-mixed", [60, 60, 60], false),
-    ("mis", [213, 94, 0], true),
-    ("attached-mis", [0, 158, 115], true),
-    ("reparameterised-mis", [0, 114, 178], true),
-    ("differential-mis", [204, 121, 167], true),
+    (Estimator::Emitter, [86, 180, 233], false),
+    (Estimator::Detached, [213, 94, 0], false),
+    (Estimator::Attached, [0, 158, 115], false),
+    (Estimator::Reparameterised, [0, 114, 178], false),
+    (Estimator::Differential, [204, 121, 167], false),
+    (Estimator::BiasedWeights, [120, 120, 120], false),
+    (Estimator::BiasedMixed, [60, 60, 60], false),
+    (Estimator::Mis, [213, 94, 0], true),
+    (Estimator::AttachedMis, [0, 158, 115], true),
+    (Estimator::ReparameterisedMis, [0, 114, 178], true),
+    (Estimator::DifferentialMis, [204, 121, 167], true),
 ];
 
 /// Those of what moves.
 const MOVING: &Looks = &[
-    ("edges", [213, 94, 0], false),
-    ("reparameterised", [0, 114, 178], false),
-    ("reparameterised-mis", [0, 114, 178], true),
-    ("reparameterised-exact", [0, 158, 115], false),
-    ("interior", [120, 120, 120], false),
-    ("biased-rays", [60, 60, 60], true),
+    (Estimator::Edges, [213, 94, 0], false),
+    (Estimator::Reparameterised, [0, 114, 178], false),
+    (Estimator::ReparameterisedMis, [0, 114, 178], true),
+    (Estimator::ReparameterisedExact, [0, 158, 115], false),
+    (Estimator::Interior, [120, 120, 120], false),
+    (Estimator::BiasedRays, [60, 60, 60], true),
 ];
 
-/// Whether an estimator is that called `name` where that is refused.
-fn is_naive(estimator: &str, name: &str) -> bool {
-    let of = Estimator::from_name(name).map(Estimator::capabilities);
-    of.is_ok_and(|of| can(estimator, |c| c.is_naive_form_of(&of)))
+/// Whether an estimator is the other one where that is refused.
+fn is_naive(estimator: Estimator, other: Estimator) -> bool {
+    (estimator.capabilities()).is_naive_form_of(&other.capabilities())
 }
 
-/// Whether an estimator has the look of that called `name`.
-fn shows(name: &str, estimator: &str) -> bool {
-    estimator == name || is_naive(estimator, name)
+/// Whether an estimator has the look of `other`.
+fn shows(other: Estimator, estimator: Estimator) -> bool {
+    estimator == other || is_naive(estimator, other)
 }
 
 fn mark(finding: Finding) -> Option<Mark> {
@@ -91,11 +89,11 @@ fn plot(sweep: &Sweep, looks: &Looks, report: &Report, bias: bool) -> Plot {
             });
         }
     }
-    for &(name, colour, dashed) in looks {
+    for &(of, colour, dashed) in looks {
         let own = || {
             let of_look = |r: &&Row| {
-                let is_admitted = || rows().any(|o| o.estimator == name && o.x == r.x);
-                shows(name, r.estimator) && (r.estimator == name || !is_admitted())
+                let is_admitted = || rows().any(|o| o.estimator.0 == of && o.x == r.x);
+                shows(of, r.estimator.0) && (r.estimator.0 == of || !is_admitted())
             };
             // A difference that means nothing is not shown.
             let says = |r: &&Row| !bias || r.finding != Finding::Unresolved;
@@ -124,7 +122,7 @@ fn plot(sweep: &Sweep, looks: &Looks, report: &Report, bias: bool) -> Plot {
     }
     if bias && sweep.name == "depth" && report.probes.unlimited != 0.0 {
         let lost: Vec<(f64, f64)> = rows()
-            .filter(|r| r.estimator == "mis")
+            .filter(|r| r.estimator.0 == Estimator::Mis)
             .map(|r| {
                 (
                     r.x,
@@ -184,8 +182,8 @@ fn plot(sweep: &Sweep, looks: &Looks, report: &Report, bias: bool) -> Plot {
 fn samples(report: &Report) -> Plot {
     let probes = &report.probes;
     let mut curves: Vec<Curve> = Vec::new();
-    for &(name, colour, dashed) in LOOKS {
-        let own = || probes.ladder.iter().filter(|l| shows(name, l.estimator));
+    for &(of, colour, dashed) in LOOKS {
+        let own = || probes.ladder.iter().filter(|l| shows(of, l.estimator.0));
         curves.push(Curve {
             look: Look::measured(colour, dashed),
             points: own().map(|l| (l.samples, l.error)).collect(),
@@ -279,9 +277,9 @@ pub fn sheets(sweeps: &[Sweep], report: &Report) -> Vec<(&'static str, Sheet)> {
 }
 
 fn sheet(of: &str, columns: usize, plots: Vec<Plot>, looks: &Looks) -> Sheet {
-    let named = |&(name, colour, dashed): &(&'static str, [u8; 3], bool)| {
-        let naive = Estimator::ALL.iter().any(|e| is_naive(e.name(), name));
-        let text = format!("{name}{}", if naive { " (naive)" } else { "" });
+    let named = |&(of, colour, dashed): &(Estimator, [u8; 3], bool)| {
+        let naive = Estimator::ALL.iter().any(|e| is_naive(*e, of));
+        let text = format!("{}{}", of.name(), if naive { " (naive)" } else { "" });
         (text, Look::measured(colour, dashed))
     };
     Sheet {

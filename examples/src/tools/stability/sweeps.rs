@@ -1,6 +1,7 @@
 //! What is varied, and where.
 
 use render::bsdf::microfacet::Ndf;
+use render::instances::Estimator;
 
 use super::moving;
 use super::setup::{Furnace, Light, Plate, Setup, Truth, stripe_laws};
@@ -27,7 +28,7 @@ pub struct Law {
     /// What it is called in the chart.
     pub name: &'static str,
     /// Estimator that follows it.
-    pub estimator: &'static str,
+    pub estimator: Estimator,
     /// Standard deviation of one sample over the radiance.
     pub std: fn(f64) -> f64,
     /// Points between these are compared.
@@ -140,7 +141,7 @@ pub fn all(quick: bool) -> Vec<Sweep> {
             "Beckmann, constant light (F1)",
             alphas(),
             plate,
-            vec![law("2/α", "detached", |a| 2.0 / a, [1e-4, 0.2])],
+            vec![law("2/α", Estimator::Detached, |a| 2.0 / a, [1e-4, 0.2])],
         ),
         roughness(
             "roughness-ggx",
@@ -152,7 +153,7 @@ pub fn all(quick: bool) -> Vec<Sweep> {
             },
             vec![law(
                 "2/(√3 α)",
-                "detached",
+                Estimator::Detached,
                 |a| 2.0 / 3f64.sqrt() / a,
                 [1e-4, 0.02],
             )],
@@ -166,8 +167,18 @@ pub fn all(quick: bool) -> Vec<Sweep> {
                 ..plate
             },
             vec![
-                law("attached", "attached", |a| stripes(a, 0), [5e-3, 0.2]),
-                law("detached", "detached", |a| stripes(a, 1), [1e-4, 0.2]),
+                law(
+                    "attached",
+                    Estimator::Attached,
+                    |a| stripes(a, 0),
+                    [5e-3, 0.2],
+                ),
+                law(
+                    "detached",
+                    Estimator::Detached,
+                    |a| stripes(a, 1),
+                    [1e-4, 0.2],
+                ),
             ],
         ),
         roughness(

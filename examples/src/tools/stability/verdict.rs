@@ -16,14 +16,15 @@ use serde::Serialize;
 use super::setup::{EMISSION, Light, Plate, ROUGHNESS, Setup};
 use super::sweeps::{self, BALL, BALL_ALPHA, BALL_INCIDENCE, STRIPES, Sweep, lobe_width};
 use super::{Finding, Report, Row};
-use crate::cli::{ToolError, can};
+use crate::cli::ToolError;
+use crate::output::Named;
 use crate::progress::Interrupt;
 
 /// Error of one estimator with so many samples.
 #[derive(Clone, Debug, Serialize)]
 pub struct Rung {
-    /// Its name.
-    pub estimator: &'static str,
+    /// Which.
+    pub estimator: Named,
     /// Number of samples.
     pub samples: f64,
     /// Root mean square error of `d ln I / d ln alpha` over sixteen groups of pixels.
@@ -76,15 +77,15 @@ pub struct Probes {
     /// Finite differences.
     pub steps: Vec<Step>,
     /// Estimators that refuse the index of smooth glass, and those that do not.
-    pub glass: [Vec<&'static str>; 2],
+    pub glass: [Vec<Named>; 2],
     /// Derivative in the radiance of a black environment, by each estimator (F7).
-    pub dark: Vec<(&'static str, Check)>,
+    pub dark: Vec<(Named, Check)>,
     /// Largest sample over the standard deviation, at a few and at 16 times as many samples (F30).
-    pub largest: Vec<(&'static str, [f64; 2])>,
+    pub largest: Vec<(Named, [f64; 2])>,
     /// Standard deviation of the derivative in albedo over that of `detached` (F39).
-    pub albedo: Vec<(&'static str, f64)>,
+    pub albedo: Vec<(Named, f64)>,
     /// Roughness derivative of unlimited paths with roulette (F40).
-    pub roulette: Vec<(&'static str, Check)>,
+    pub roulette: Vec<(Named, Check)>,
     /// True derivative of unlimited paths.
     pub unlimited: f64,
 }
@@ -167,7 +168,7 @@ pub fn probe(
         let std = deviation(&all);
         probes
             .largest
-            .push((e.name(), [early / std, largest / std]));
+            .push((Named(e), [early / std, largest / std]));
     }
     let spp = if quick { 64 } else { 256 };
     let mut base = 0.0;
@@ -183,7 +184,7 @@ pub fn probe(
         if base == 0.0 {
             base = std;
         }
-        probes.albedo.push((e.name(), std / base));
+        probes.albedo.push((Named(e), std / base));
     }
     let furnace = sweeps::furnace(None).setup().map_err(usage)?;
     probes.unlimited = furnace.truth.slope;
@@ -206,7 +207,7 @@ pub fn probe(
         };
         let c = e.capabilities();
         if !c.study || c.failures.contains(Failure::AttachedRoulette) {
-            probes.roulette.push((e.name(), check));
+            probes.roulette.push((Named(e), check));
         }
     }
     Ok(probes)
@@ -246,7 +247,7 @@ fn ladder(
             se: setup.truth.error,
         };
         probes.ladder.push(Rung {
-            estimator: e.name(),
+            estimator: Named(e),
             samples: n,
             error: error * BALL_ALPHA / setup.truth.value,
             biased: found.z(&truth).abs() > limit && n > 100.0,
@@ -361,7 +362,7 @@ fn glass(probes: &mut Probes, estimators: &[Estimator]) -> Result<(), ToolError>
     let (scene, _) = loaded?;
     for &e in estimators {
         let refuses = e.active(&scene, &["glass.eta.value"]).is_err();
-        probes.glass[usize::from(!refuses)].push(e.name());
+        probes.glass[usize::from(!refuses)].push(Named(e));
     }
     Ok(())
 }
@@ -391,7 +392,7 @@ fn dark(
         let Some(found) = found else { break };
         let found = Estimate::of(&found);
         let (mean, error) = (found.mean / spp as f64, found.se / spp as f64);
-        probes.dark.push((e.name(), Check { truth, mean, error }));
+        probes.dark.push((Named(e), Check { truth, mean, error }));
     }
     Ok(())
 }
@@ -427,7 +428,8 @@ pub fn text(report: &Report) -> String {
     }
     outlines(&mut out, report);
     motion(&mut out, report);
-    let grazing = |r: &Row| r.sweep == "incidence" && r.x > 80.0 && !can(r.estimator, |c| c.study);
+    let grazing =
+        |r: &Row| r.sweep == "incidence" && r.x > 80.0 && !r.estimator.0.capabilities().study;
     if let Some(worst) = worst(report, grazing) {
         out.say(
             "F9, F43",
@@ -445,7 +447,7 @@ pub fn text(report: &Report) -> String {
     out.say("F24, F25", "concern losses of images, not derivatives of images: `gradient` draws image and adjoint from two seeds.".into());
     differences(&mut out, report);
     crossover(&mut out, report, &sweeps);
-    let lobes = |r: &Row| can(r.estimator, |c| c.differential);
+    let lobes = |r: &Row| r.estimator.0.capabilities().differential;
     if let Some(worst) = worst(report, lobes) {
         out.say("F29", format!(
             "the two lobes of the derivative of normals are summed: the largest difference is {}.",
@@ -510,7 +512,7 @@ fn wrong_on_purpose(out: &mut Text, report: &Report) {
             );
         }
     }
-    let attached = (p.roulette.iter()).filter(|(name, _)| plays_attached(name));
+    let attached = (p.roulette.iter()).filter(|(e, _)| plays_attached(*e));
     let attached: Vec<String> = (attached)
         .map(|(name, c)| format!("{name}: z {:.1}", c.z()))
         .collect();
@@ -548,9 +550,8 @@ fn outlines(out: &mut Text, report: &Report) {
         ));
     }
     let still = |r: &Row| {
-        can(r.estimator, |c| {
-            c.motion == Motion::Reparameterised && !c.study
-        }) && !in_motion(r)
+        let can = r.estimator.0.capabilities();
+        can.motion == Motion::Reparameterised && !can.study && !in_motion(r)
     };
     if let Some(worst) = worst(report, still) {
         let wrong = (report.rows.iter())
@@ -613,23 +614,23 @@ impl Text {
     /// F38: combinations that are worse than their better ingredient.
     fn mis(&mut self, report: &Report) {
         let pairs = [
-            ("mis", "detached"),
-            ("differential-mis", "differential"),
-            ("reparameterised-mis", "reparameterised"),
+            (Estimator::Mis, Estimator::Detached),
+            (Estimator::DifferentialMis, Estimator::Differential),
+            (Estimator::ReparameterisedMis, Estimator::Reparameterised),
         ];
         let mut worst: Option<(f64, &Row)> = None;
         let (mut count, mut of) = (0, 0);
         for r in &report.rows {
-            let Some((_, single)) = pairs.iter().find(|(both, _)| *both == r.estimator) else {
+            let Some((_, single)) = pairs.iter().find(|(both, _)| *both == r.estimator.0) else {
                 continue;
             };
             let same = |o: &&Row| o.sweep == r.sweep && o.x == r.x;
-            let found = |name: &str| {
-                let of_name = |o: &&Row| same(o) && o.estimator == name;
-                let row = report.rows.iter().find(of_name)?;
+            let found = |e: Estimator| {
+                let own = |o: &&Row| same(o) && o.estimator.0 == e;
+                let row = report.rows.iter().find(own)?;
                 (row.finding == Finding::Right).then_some(row.std)
             };
-            let (Some(a), Some(b)) = (found(single), found("emitter")) else {
+            let (Some(a), Some(b)) = (found(*single), found(Estimator::Emitter)) else {
                 continue;
             };
             // Where one of them hardly scatters, a ratio says little.
@@ -658,12 +659,12 @@ fn short(sweep: &Sweep) -> &str {
     sweep.title.split(" (F").next().unwrap_or_default()
 }
 
-fn list(names: &[&str]) -> String {
-    if names.is_empty() {
-        "none".into()
-    } else {
-        names.join(", ")
+fn list(all: &[Named]) -> String {
+    if all.is_empty() {
+        return "none".into();
     }
+    let names: Vec<&str> = all.iter().map(|e| e.0.name()).collect();
+    names.join(", ")
 }
 
 fn found(r: &Row) -> String {
@@ -701,8 +702,8 @@ fn motion(out: &mut Text, report: &Report) {
             blind.len()
         ),
     );
-    for e in Estimator::ALL {
-        let own = |r: &Row| in_motion(r) && r.estimator == e.name();
+    for &e in Estimator::ALL {
+        let own = |r: &Row| in_motion(r) && r.estimator.0 == e;
         let c = e.capabilities();
         let Some(worst) = worst(report, own) else {
             continue;
@@ -732,30 +733,28 @@ fn motion(out: &mut Text, report: &Report) {
 }
 
 /// Whether an estimator is for the study of this failure, and of no other.
-fn fails_by(estimator: &str, failure: Failure) -> bool {
-    can(estimator, |c| {
-        c.study && c.failures == Failures::of(&[failure])
-    })
+fn fails_by(estimator: Named, failure: Failure) -> bool {
+    let can = estimator.0.capabilities();
+    can.study && can.failures == Failures::of(&[failure])
 }
 
 /// Whether the probability of its roulette is differentiated.
-fn plays_attached(estimator: &str) -> bool {
-    can(estimator, |c| {
-        c.failures.contains(Failure::AttachedRoulette)
-    })
+fn plays_attached(estimator: Named) -> bool {
+    let failures = estimator.0.capabilities().failures;
+    failures.contains(Failure::AttachedRoulette)
 }
 
 /// All estimators that are like that.
-fn named(like: impl Fn(Capabilities) -> bool) -> Vec<&'static str> {
+fn named(like: impl Fn(Capabilities) -> bool) -> Vec<Named> {
     let all = Estimator::ALL.iter().filter(|e| like(e.capabilities()));
-    all.map(|e| e.name()).collect()
+    all.map(|e| Named(*e)).collect()
 }
 
 /// How often each estimator is right.
 fn summary(out: &mut Text, report: &Report) {
-    for e in Estimator::ALL {
+    for &e in Estimator::ALL {
         let count = |f: Finding| {
-            let own = |r: &&Row| r.estimator == e.name() && r.finding == f;
+            let own = |r: &&Row| r.estimator.0 == e && r.finding == f;
             report.rows.iter().filter(own).count()
         };
         let [right, biased, unresolved, bad] = [
@@ -788,8 +787,9 @@ fn worst(report: &Report, of: impl Fn(&Row) -> bool) -> Option<&Row> {
     biased.max_by(relative).or_else(|| all().max_by(largest))
 }
 
-fn extreme(checks: &[(&'static str, Check)]) -> Option<(&'static str, Check)> {
-    let largest = |a: &&(&str, Check), b: &&(&str, Check)| a.1.z().abs().total_cmp(&b.1.z().abs());
+fn extreme(checks: &[(Named, Check)]) -> Option<(Named, Check)> {
+    let largest =
+        |a: &&(Named, Check), b: &&(Named, Check)| a.1.z().abs().total_cmp(&b.1.z().abs());
     checks.iter().max_by(largest).copied()
 }
 
@@ -799,7 +799,7 @@ fn laws(out: &mut Text, report: &Report, sweeps: &[Sweep]) {
         for law in &sweep.laws {
             let rows = report.rows.iter().filter(|r| {
                 r.sweep == sweep.name
-                    && r.estimator == law.estimator
+                    && r.estimator.0 == law.estimator
                     && (law.range[0]..=law.range[1]).contains(&r.x)
             });
             let off = rows.map(|r| (r.std / (law.std)(r.x) - 1.0, r.x));
@@ -808,7 +808,7 @@ fn laws(out: &mut Text, report: &Report, sweeps: &[Sweep]) {
                 out.say("F1", format!(
                     "{}: std of {} follows its law ({}) to {:.1} % for alpha in [{:.0e}, {}] (worst at {x:.1e}).",
                     short(sweep),
-                    law.estimator,
+                    law.estimator.name(),
                     law.name,
                     100.0 * off.abs(),
                     law.range[0],
@@ -818,8 +818,8 @@ fn laws(out: &mut Text, report: &Report, sweeps: &[Sweep]) {
         }
         if sweep.over_roughness {
             let mut growing = Vec::new();
-            for e in Estimator::ALL {
-                if let Some(power) = growth(report, sweep.name, e.name())
+            for &e in Estimator::ALL {
+                if let Some(power) = growth(report, sweep.name, e)
                     && power < -0.5
                 {
                     growing.push(format!("{} ({power:.2})", e.name()));
@@ -840,9 +840,9 @@ fn laws(out: &mut Text, report: &Report, sweeps: &[Sweep]) {
 }
 
 /// Power of alpha that the spread goes with below 1e-2, from the two ends of that range.
-fn growth(report: &Report, sweep: &str, estimator: &str) -> Option<f64> {
+fn growth(report: &Report, sweep: &str, estimator: Estimator) -> Option<f64> {
     let mut rows: Vec<&Row> = (report.rows.iter())
-        .filter(|r| r.sweep == sweep && r.estimator == estimator && r.x <= 1.1e-2)
+        .filter(|r| r.sweep == sweep && r.estimator.0 == estimator && r.x <= 1.1e-2)
         .filter(|r| r.finding != Finding::Unresolved && r.std > 0.0)
         .collect();
     rows.sort_by(|a, b| a.x.total_cmp(&b.x));
@@ -858,12 +858,12 @@ fn crossover(out: &mut Text, report: &Report, sweeps: &[Sweep]) {
         return;
     };
     let ratio = |x: f64| {
-        let std = |name: &str| {
+        let std = |e: Estimator| {
             let rows = report.rows.iter();
-            let mut own = rows.filter(|r| r.sweep == sweep.name && r.x == x && r.estimator == name);
+            let mut own = rows.filter(|r| r.sweep == sweep.name && r.x == x && r.estimator.0 == e);
             own.next().map(|r| r.std)
         };
-        Some((std("attached")? / std("detached")?).ln())
+        Some((std(Estimator::Attached)? / std(Estimator::Detached)?).ln())
     };
     let mut xs: Vec<f64> = (report.rows.iter())
         .filter(|r| r.sweep == sweep.name)
@@ -894,7 +894,8 @@ fn crossover(out: &mut Text, report: &Report, sweeps: &[Sweep]) {
 
 /// F37: time against length.
 fn cost(out: &mut Text, report: &Report) {
-    let rows = || (report.rows.iter()).filter(|r| r.sweep == "depth" && r.estimator == "mis");
+    let rows =
+        || (report.rows.iter()).filter(|r| r.sweep == "depth" && r.estimator.0 == Estimator::Mis);
     let shortest = rows().min_by(|a, b| a.x.total_cmp(&b.x));
     let longest = rows().max_by(|a, b| a.x.total_cmp(&b.x));
     if let (Some(a), Some(b)) = (shortest, longest)
@@ -918,7 +919,7 @@ fn depth(out: &mut Text, report: &Report) {
         return;
     }
     let mut rows: Vec<&Row> = (report.rows.iter())
-        .filter(|r| r.sweep == "depth" && r.estimator == "mis")
+        .filter(|r| r.sweep == "depth" && r.estimator.0 == Estimator::Mis)
         .collect();
     rows.sort_by(|a, b| a.x.total_cmp(&b.x));
     let lost: Vec<String> = (rows.iter())
@@ -936,7 +937,7 @@ fn depth(out: &mut Text, report: &Report) {
         parts.push(format!("a limit of length loses of the derivative: {lost}"));
     }
     let detached: Vec<_> = (report.probes.roulette.iter())
-        .filter(|(name, _)| !plays_attached(name))
+        .filter(|(e, _)| !plays_attached(*e))
         .copied()
         .collect();
     if let Some((name, c)) = extreme(&detached) {
@@ -951,14 +952,15 @@ fn depth(out: &mut Text, report: &Report) {
 }
 
 fn unresolved(out: &mut Text, report: &Report) {
-    for name in ["emitter", "detached"] {
+    for e in [Estimator::Emitter, Estimator::Detached] {
         let rows: Vec<&Row> = (report.rows.iter())
-            .filter(|r| r.estimator == name && r.finding == Finding::Unresolved)
+            .filter(|r| r.estimator.0 == e && r.finding == Finding::Unresolved)
             .collect();
         if let Some(first) = rows.iter().max_by(|a, b| a.x.total_cmp(&b.x)) {
             out.say("lobe not met", format!(
-                "{name} misses the lobe at {} points, {} = {:.1e} for example: mean and error mean nothing \
+                "{} misses the lobe at {} points, {} = {:.1e} for example: mean and error mean nothing \
                  there.",
+                e.name(),
                 rows.len(),
                 first.sweep,
                 first.x

@@ -66,9 +66,9 @@ pub(super) struct Guests(HashMap<(u32, u32), Vec<Guest>>);
 
 /// The part of a line that two chords have in common, if it is longer than `near`. `along`: its unit direction.
 pub(super) fn common(along: Vec3<f64>, a: &Chord, b: &Chord, near: f64) -> Option<Side> {
-    let start = a.ends[0];
+    let start = a.end_points[0];
     let span = |chord: &Chord| {
-        let [x, y] = chord.ends.map(|p| along.dot(p - start));
+        let [x, y] = chord.end_points.map(|p| along.dot(p - start));
         [x.min(y), x.max(y)]
     };
     let (x, y) = (span(a), span(b));

@@ -43,7 +43,7 @@ enum Sheet {
 /// A side of a face that lies on a plane.
 struct Half {
     line: Line,
-    ends: [Vec3<f64>; 2],
+    end_points: [Vec3<f64>; 2],
     /// A point of the face beside it.
     inner: Vec3<f64>,
 }
@@ -282,7 +282,7 @@ fn flats(of: [&Flat; 2], parts: [LineSide; 2], near: f64, found: &mut Vec<Found>
         }
         [false, false] if apart => found.push(Found::Touch(Touch {
             parts,
-            sides: [a.ends, b.ends],
+            sides: [a.end_points, b.end_points],
             into: of.map(|face| {
                 let to = face.middle() - start;
                 (to - along * (along.dot(to) / along.length_squared())).normalize()
@@ -299,7 +299,7 @@ impl Half {
     fn of(line: Line, face: &Flat, chord: &Chord) -> Self {
         Self {
             line,
-            ends: chord.ends,
+            end_points: chord.end_points,
             inner: face.middle(),
         }
     }
@@ -307,14 +307,14 @@ impl Half {
     /// Whether the face is in front of the other surface, as the normal of that says.
     fn above(&self, shapes: &[AnyShape]) -> bool {
         let LineSide { shape, locals } = self.line.sides[1];
-        let normal = normal(&shapes[shape as usize], locals[0], self.ends[0]);
-        normal.dot(self.inner - self.ends[0]) > 0.0
+        let normal = normal(&shapes[shape as usize], locals[0], self.end_points[0]);
+        normal.dot(self.inner - self.end_points[0]) > 0.0
     }
 
     /// What both faces at a side have in common: the surface that it lies on, and the side.
     fn key(&self) -> ([u32; 3], [[u64; 3]; 2]) {
         let bits = |p: Vec3<f64>| p.to_array().map(f64::to_bits);
-        let [a, b] = self.ends.map(bits);
+        let [a, b] = self.end_points.map(bits);
         let [own, other] = self.line.sides;
         (
             [own.shape, other.shape, other.locals[0]],

@@ -21,7 +21,7 @@ pub(super) enum FlatKind {
 
 /// What a plane cuts out of a flat surface.
 pub(super) struct Chord {
-    pub ends: [Vec3<f64>; 2],
+    pub end_points: [Vec3<f64>; 2],
     /// Whether anything of the surface is below the plane, and above.
     pub sides: [bool; 2],
 }
@@ -61,21 +61,21 @@ impl Flat {
                     heights.iter().any(|h| *h < 0.0),
                     heights.iter().any(|h| *h > 0.0),
                 ];
-                let mut ends = SmallVec::<[Vec3<f64>; 4]>::new();
+                let mut end_points = SmallVec::<[Vec3<f64>; 4]>::new();
                 for k in 0..n {
                     let (i, j) = (k, (k + 1) % n);
                     let (x, y) = (heights[i], heights[j]);
                     if x == 0.0 {
-                        ends.push(corners[i]);
+                        end_points.push(corners[i]);
                     } else if (x < 0.0 && y > 0.0) || (x > 0.0 && y < 0.0) {
-                        ends.push(corners[i] + (corners[j] - corners[i]) * (x / (x - y)));
+                        end_points.push(corners[i] + (corners[j] - corners[i]) * (x / (x - y)));
                     }
                 }
-                let [a, b] = ends[..] else {
+                let [a, b] = end_points[..] else {
                     return None;
                 };
                 (sides[0] || sides[1]).then_some(Chord {
-                    ends: [a, b],
+                    end_points: [a, b],
                     sides,
                 })
             }
@@ -95,7 +95,7 @@ impl Flat {
                     *centre + *e1 * x + *e2 * y
                 };
                 Some(Chord {
-                    ends: [at(-1.0), at(1.0)],
+                    end_points: [at(-1.0), at(1.0)],
                     sides: [true; 2],
                 })
             }
@@ -142,7 +142,7 @@ impl Flat {
         };
         let chord = self.chord(&across, 0.0)?;
         let at = |p: Vec3<f64>| along.dot(p - start) / along.length_squared();
-        let [a, b] = chord.ends.map(at);
+        let [a, b] = chord.end_points.map(at);
         let (from, to) = (a.min(b).max(0.0), a.max(b).min(1.0));
         (from < to).then(|| [start + along * from, along * (to - from)])
     }

@@ -66,16 +66,16 @@ impl Ellipse {
         conditions: &[[f64; 3]],
         other: Option<&dyn Fn(Vec3<f64>) -> bool>,
     ) -> SmallVec<[Path; 2]> {
-        let mut ends: SmallVec<[f64; 8]> = conditions.iter().flat_map(zeros).collect();
+        let mut bounds: SmallVec<[f64; 8]> = conditions.iter().flat_map(zeros).collect();
         if let Some(other) = other {
-            changes(&|turn| other(self.at(turn).0), &mut ends);
+            changes(&|turn| other(self.at(turn).0), &mut bounds);
         }
         let holds = |turn: f64| {
             let (sin, cos) = (TAU * turn).sin_cos();
             (conditions.iter()).all(|[a, b, c]| a + b * cos + c * sin >= 0.0)
                 && other.is_none_or(|other| other(self.at(turn).0))
         };
-        between(&mut ends, &holds)
+        between(&mut bounds, &holds)
             .into_iter()
             .map(|turns| Path::Arc(self, turns))
             .collect()
@@ -289,9 +289,9 @@ impl Round {
                 upper,
             };
             let holds = |turn: f64| curve.holds(turn);
-            let mut ends = SmallVec::<[f64; 8]>::new();
-            changes(&holds, &mut ends);
-            let arcs = between(&mut ends, &holds).into_iter();
+            let mut bounds = SmallVec::<[f64; 8]>::new();
+            changes(&holds, &mut bounds);
+            let arcs = between(&mut bounds, &holds).into_iter();
             paths.extend(arcs.map(|turns| Path::Pierced(curve, turns)));
         }
         paths
@@ -310,7 +310,7 @@ fn zeros([a, b, c]: &[f64; 3]) -> SmallVec<[f64; 2]> {
 }
 
 /// Adds where, in turns, something begins or ends to hold.
-fn changes(holds: &dyn Fn(f64) -> bool, ends: &mut SmallVec<[f64; 8]>) {
+fn changes(holds: &dyn Fn(f64) -> bool, bounds: &mut SmallVec<[f64; 8]>) {
     for k in 0..PROBES {
         let [mut a, mut b] = [k, k + 1].map(|k| f64::from(k) / f64::from(PROBES));
         let start = holds(a);
@@ -326,22 +326,25 @@ fn changes(holds: &dyn Fn(f64) -> bool, ends: &mut SmallVec<[f64; 8]>) {
             }
         }
         // The last point at which it does.
-        ends.push(if start { a } else { b });
+        bounds.push(if start { a } else { b });
     }
 }
 
 /// The arcs where something holds, given all points where that may change.
-fn between(ends: &mut SmallVec<[f64; 8]>, holds: &dyn Fn(f64) -> bool) -> SmallVec<[[f64; 2]; 2]> {
-    ends.sort_unstable_by(f64::total_cmp);
-    let Some(&first) = ends.first() else {
+fn between(
+    bounds: &mut SmallVec<[f64; 8]>,
+    holds: &dyn Fn(f64) -> bool,
+) -> SmallVec<[[f64; 2]; 2]> {
+    bounds.sort_unstable_by(f64::total_cmp);
+    let Some(&first) = bounds.first() else {
         return if holds(0.0) {
             smallvec![[0.0, 1.0]]
         } else {
             SmallVec::new()
         };
     };
-    let next = ends[1..].iter().copied().chain([first + 1.0]);
-    (ends.iter().copied().zip(next))
+    let next = bounds[1..].iter().copied().chain([first + 1.0]);
+    (bounds.iter().copied().zip(next))
         .filter(|(a, b)| b > a && holds(0.5 * (a + b)))
         .map(|(a, b)| [a, b])
         .collect()

@@ -12,8 +12,9 @@
 
 use ad_core::{Float, Vec3};
 
+use super::candidates::{CANDIDATES, Candidates};
 use super::form::{Contribution, Form, Mover, Term};
-use super::{BEFORE, Boundary, CANDIDATES, Candidates, IN_PLANE, MODE, SAME_DEPTH, wide};
+use super::{BEFORE, Boundary, IN_PLANE, MODE, SAME_DEPTH, wide};
 use crate::bsdf::{Bsdf, Shading};
 use crate::camera::CameraSample;
 use crate::edges::crossing::{LineSide, Meeting, Sheet};

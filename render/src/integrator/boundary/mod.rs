@@ -22,6 +22,7 @@
 //! [Li et al. 2018] for derivatives by samples of edges, and for the tree over them; the form that follows the material
 //! beyond the first vertex is that of [Zhang et al. 2020], in directions.
 
+mod candidates;
 mod crossings;
 mod form;
 mod shadows;
@@ -33,6 +34,7 @@ use std::ops::Range;
 use ad_core::{Const, Float, Vec3};
 use smallvec::SmallVec;
 
+use self::candidates::{CANDIDATES, Candidates};
 use self::form::{Contribution, Form, Mover, Moving, Term, hit_at};
 use self::shadows::Lights;
 use super::active::Active;
@@ -72,8 +74,6 @@ const BEFORE: f64 = 1.0 - 1e-5;
 const OFF_PLANE: f64 = 2e-5;
 /// The normal of an edge and that of a face whose plane it lies in have a cosine above this.
 const IN_PLANE: f64 = 1.0 - 1e-8;
-/// Edges that a vertex chooses among.
-const CANDIDATES: u32 = 4;
 /// What edges that do not move count beside others, where the vertex does not move either: what is behind them may.
 const STILL: f64 = 0.1;
 /// What an edge counts that no lamp is behind, as far as that can be told.
@@ -97,47 +97,6 @@ impl<P: Float> Interest for Vertices<P> {
 impl<P: Float> Observer<P> for Vertices<P> {
     fn vertex(&mut self, beta: Rgb<P>, place: &Place<P>) {
         self.0.push((beta, *place));
-    }
-}
-
-/// One of [`CANDIDATES`] is kept, in proportion to what it may bring over the density that it was drawn with.
-struct Candidates<T> {
-    /// A uniform number, used again for each choice.
-    choice: f64,
-    total: f64,
-    /// With its target.
-    one: Option<(T, f64)>,
-}
-
-impl<T> Candidates<T> {
-    fn new(choice: f64) -> Self {
-        Self {
-            choice,
-            total: 0.0,
-            one: None,
-        }
-    }
-
-    /// `target` is what it may bring, `weight` is one over its density.
-    fn add(&mut self, one: T, target: f64, weight: f64) {
-        let weight = target * weight;
-        if !(weight > 0.0 && weight.is_finite()) {
-            return;
-        }
-        self.total += weight;
-        let p = weight / self.total;
-        if self.choice < p {
-            self.choice /= p;
-            self.one = Some((one, target));
-        } else {
-            self.choice = (self.choice - p) / (1.0 - p);
-        }
-    }
-
-    /// The one that is kept, and its weight.
-    fn kept(self) -> Option<(T, f64)> {
-        let (one, target) = self.one?;
-        Some((one, self.total / f64::from(CANDIDATES) / target))
     }
 }
 

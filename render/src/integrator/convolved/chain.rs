@@ -18,7 +18,7 @@ use super::outlines::Outlines;
 use crate::accel::Hit;
 use crate::bsdf::{Component, Shading};
 use crate::integrator::active::Active;
-use crate::integrator::delta::{Delta, follow};
+use crate::integrator::delta::{Delta, scatter};
 use crate::integrator::motion::slopes::{across, varied};
 use crate::integrator::motion::trail::Stop;
 use crate::integrator::record::Place;
@@ -114,7 +114,7 @@ pub(super) fn look<P: Float>(
         length += met.si.t.re.to_f64();
         let wo = met.si.frame.to_local(-ray.d);
         let at = Shading::new(theta, met.si.uv);
-        let Some((wi, _)) = follow(scene.material(shape), &at, wo, delta) else {
+        let Some((wi, _)) = scatter(scene.material(shape), &at, wo, delta) else {
             break;
         };
         let si = met.si.primal();

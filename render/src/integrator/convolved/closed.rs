@@ -102,11 +102,11 @@ impl Anchor {
         (shape, local): (u32, u32),
         frame: &Frame<f64>,
         o: Vec3<f64>,
-        ends: [Vec3<f64>; 2],
+        end_points: [Vec3<f64>; 2],
         (reach, horizon): (f64, Option<Vec3<f64>>),
     ) -> Option<Self> {
         let w = frame.n;
-        let [a, b] = ends.map(|p| p - o);
+        let [a, b] = end_points.map(|p| p - o);
         let plane = a.cross(b);
         let size = plane.length();
         if !(size > 0.0 && size.is_finite()) {
@@ -205,8 +205,8 @@ impl Anchor {
         (reach, horizon): (f64, Option<Vec3<f64>>),
     ) -> SmallVec<[Self; 8]> {
         let straight = edges.straight_jumps(o);
-        let sides = straight.filter_map(|(shape, local, ends)| {
-            Self::side((shape, local), frame, o, ends, (reach, horizon))
+        let sides = straight.filter_map(|(shape, local, end_points)| {
+            Self::side((shape, local), frame, o, end_points, (reach, horizon))
         });
         let balls = edges.balls();
         let balls = balls.filter_map(|(shape, centre, radius)| {

@@ -580,7 +580,7 @@ impl<'a, P: Float> Follow<'a, P> {
         let uv = place.si.uv;
         let uv = Vec2::new(D::var(uv.x, 2), D::var(uv.y, 3));
         let at = Shading::new(self.theta.lift::<D<P>>(), uv);
-        let Some((wi, weight)) = delta::follow(material, &at, varied(place.wo, 0), which) else {
+        let Some((wi, weight)) = delta::scatter(material, &at, varied(place.wo, 0), which) else {
             return;
         };
         let frame = &place.si.frame;

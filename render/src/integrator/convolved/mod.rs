@@ -53,11 +53,9 @@ use crate::scene::Scene;
 
 /// Who the random numbers of a sample belong to.
 fn numbers(scene: &Scene, seed: u64, sample: &Sample) -> Numbers {
-    let film = &scene.film;
-    let [x, y] = [0, 1].map(|k| u64::from(sample.pixel[k] + film.crop_offset[k]));
     Numbers {
         seed,
-        pixel: y * u64::from(film.size[0]) + x,
+        pixel: scene.film.full_pixel(sample.pixel).1,
         sample: sample.index,
     }
 }

@@ -40,9 +40,9 @@ fn beyond(mesh: &Mesh) -> Vec<[Beyond; 3]> {
     let data = mesh.data();
     let welding = mesh.welding();
     let point = |v: u32| welding.points[v as usize];
-    let ends = |t: &[u32; 3], k: usize| [t[k], t[(k + 1) % 3]];
+    let end_points = |t: &[u32; 3], k: usize| [t[k], t[(k + 1) % 3]];
     let side = |t: &[u32; 3], k: usize| {
-        let [a, b] = ends(t, k).map(point);
+        let [a, b] = end_points(t, k).map(point);
         (a.min(b), a.max(b))
     };
     let mut sides: HashMap<(u32, u32), Vec<(u32, u32)>> = HashMap::new();
@@ -59,7 +59,7 @@ fn beyond(mesh: &Mesh) -> Vec<[Beyond; 3]> {
     let creased = |t: &[u32; 3], k: usize, other: u32, opposite: u32| {
         if !data.normals.is_empty() {
             let other = data.triangles[other as usize];
-            return !ends(t, k).iter().all(|&v| {
+            return !end_points(t, k).iter().all(|&v| {
                 let same = other.iter().find(|&&w| point(w) == point(v));
                 same.is_some_and(|&w| normal(w) == normal(v))
             });

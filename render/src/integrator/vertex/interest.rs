@@ -2,8 +2,7 @@
 
 use ad_core::Float;
 
-use crate::bsdf::{Bsdf, Component, DeltaKind, Material};
-use crate::estimator::{Sampling, Strategy};
+use crate::bsdf::{Component, DeltaKind};
 use crate::manifold::{Run, Split};
 use crate::scene::{Caustics, ShapeInfo};
 
@@ -65,9 +64,9 @@ impl PathInterest {
     ) {
         self.active |= !W::ENABLED || interest.differentiates(info.material);
         if depth == 1 {
-            self.caustics_excluded = caustics == Caustics::Particles && !info.glossy;
+            self.caustics_excluded = caustics == Caustics::Particles && info.shows_caustics();
         }
-        self.caustic = self.caustics_excluded && info.glossy;
+        self.caustic = self.caustics_excluded && info.throws_caustics();
     }
 
     /// The path reaches a surface, where manifold connections find light; `along_delta`: by an edge that left its vertex
@@ -99,6 +98,18 @@ impl PathInterest {
         self.bent |= !is_straight(component, eta);
     }
 
+    /// That of a path which starts with a sample of the change of normals at a vertex of a material: nothing behind it is
+    /// differentiated.
+    #[inline(always)]
+    pub fn branch(mut self, split: Option<&Split>, material: u32, reflects: bool) -> Self {
+        self.leave_by(split, material, false, reflects);
+        Self {
+            active: false,
+            bent: true,
+            ..self
+        }
+    }
+
     /// Whether light of this emitter on the edge is left to others, or out.
     #[inline(always)]
     pub fn leaves(&self, split: Option<&Split>, emitter: u32) -> bool {
@@ -122,7 +133,7 @@ impl PathInterest {
 /// Whether a path goes on as if nothing were there: through holes, and through panes, which refract twice. `eta`: its relative
 /// index before and behind.
 #[inline(always)]
-pub fn is_straight<P: Float>(component: Component, eta: [P; 2]) -> bool {
+fn is_straight<P: Float>(component: Component, eta: [P; 2]) -> bool {
     match component {
         Component::Continuous => false,
         Component::Delta { kind, .. } => match kind {
@@ -131,22 +142,4 @@ pub fn is_straight<P: Float>(component: Component, eta: [P; 2]) -> bool {
             DeltaKind::Passthrough => true,
         },
     }
-}
-
-/// Whether the change of normals has samples of its own at a vertex of strategy `S`. `goes_on`: whether there may be light
-/// behind it. Scalars with tangents ask besides whether the roughness moves.
-#[inline(always)]
-pub fn splits<S: Strategy, W: Interest>(
-    interest: &W,
-    goes_on: bool,
-    index: u32,
-    material: &Material,
-) -> bool {
-    S::Bsdf::DIFFERENTIAL && goes_on && has_pair(interest, index, material)
-}
-
-/// The same of a path that goes on, where its strategy has such samples.
-#[inline(always)]
-pub fn has_pair<W: Interest>(interest: &W, index: u32, material: &Material) -> bool {
-    (!W::ENABLED || interest.differentiates_roughness(index)) && material.has_differential()
 }

@@ -11,7 +11,7 @@ use crate::guide::{Directions, Guide, PART_GUIDED};
 use crate::manifold::Split;
 use crate::math::{Frame, Rgb};
 use crate::params::Theta;
-use crate::scene::{LightChoice, Scene, ShapeInfo};
+use crate::scene::{LightChoice, Scene, Settings, ShapeInfo};
 use crate::shape::SurfaceInteraction;
 
 /// Probability of keeping any one of the emitters' samples, see [`LightChoice::All`].
@@ -53,17 +53,54 @@ pub fn is_along_delta<P: Float>(pdf: P) -> bool {
     pdf == P::zero()
 }
 
+/// Whether emitters were sampled where the `depth`-th edge starts, unless it left along a delta.
+#[inline(always)]
+pub fn may_have_rival<S: Strategy>(depth: u32) -> bool {
+    S::SAMPLES_EMITTERS && depth > 1
+}
+
 /// Whether light at the end of the `depth`-th edge could have been sampled at its start; `pdf` is the [`density`] of its
 /// direction.
 #[inline(always)]
 pub fn has_rival<S: Strategy, P: Float>(depth: u32, pdf: P) -> bool {
-    S::SAMPLES_EMITTERS && depth > 1 && pdf > P::zero()
+    may_have_rival::<S>(depth) && pdf > P::zero()
+}
+
+/// MIS weight of light that an edge with the density `pdf_bsdf` met, where samples of the emitter have the density `pdf` and
+/// it has this `share` of them.
+#[inline(always)]
+pub fn met_weight<S: Strategy, R: Real>(pdf_bsdf: R, pdf: R, share: R::Primal) -> R {
+    S::weight_hit(pdf_bsdf, pdf * Const(share))
 }
 
 /// Whether light that an edge with this [`density`] meets counts.
 #[inline(always)]
 pub fn counts_hits<S: Strategy, P: Float>(pdf: P) -> bool {
     S::COUNTS_HITS | !S::SAMPLES_EMITTERS | is_along_delta(pdf)
+}
+
+/// Whether the last edge is followed, which only looks for light: if that counts, and if the edge `meets` any, as far as can
+/// be told.
+#[inline(always)]
+pub fn looks_for_light<S: Strategy, P: Float>(pdf: P, meets: bool) -> bool {
+    counts_hits::<S, P>(pdf) & meets
+}
+
+/// The emitters whose light the `depth`-th edge may meet: those of the shape at its end, or those around the scene, but for
+/// lights that are hidden from the camera. `bent` as [`PathInterest::bent`].
+#[inline(always)]
+pub fn emitters_at<'a>(
+    scene: &'a Scene,
+    settings: &Settings,
+    depth: u32,
+    bent: bool,
+    shape: Option<u32>,
+) -> &'a [u32] {
+    match shape {
+        Some(shape) if !settings.hides(depth) => scene.shape_info(shape).emitter.as_slice(),
+        None if !settings.hides_sky(bent) => scene.infinite_emitters(),
+        _ => &[],
+    }
 }
 
 /// What a ray in direction `d` receives from an emitter it hit at `si`, or missed everything towards:
@@ -92,7 +129,7 @@ pub fn find_light<R: Real, S: Strategy>(
     let weight = match sampled {
         Some(rival) => {
             let pdf = e.pdf(scene.lights(), rival.from, d, si.as_ref());
-            S::weight_hit(rival.pdf_bsdf, S::Bsdf::embed(pdf) * Const(rival.share))
+            met_weight::<S, R>(rival.pdf_bsdf, S::Bsdf::embed(pdf), rival.share)
         }
         None => R::one(),
     };
@@ -271,24 +308,6 @@ pub fn mis_weight<S: Strategy, R: Real>(weighs: bool, pdf: R, pdf_bsdf: R) -> R 
 #[inline(always)]
 pub fn per_density<R: Real>(mis: R, kept: R::Primal, pdf: R::Primal) -> R {
     mis * Const(kept / pdf)
-}
-
-/// The same for the change of normals: scattered directions compete with the density of its own samples.
-#[inline(always)]
-pub fn normals_weight<S: Strategy, P: Float>(
-    material: &Material,
-    at: &Shading<P>,
-    [wo, wi]: [Vec3<P>; 2],
-    weighs: bool,
-    pdf: P,
-    kept: P,
-) -> P {
-    let pair = if weighs {
-        material.pdf_differential(at, wo, wi)
-    } else {
-        P::zero()
-    };
-    mis_weight::<S, P>(weighs, pdf, pair) * kept / pdf
 }
 
 /// Whether a colour moves.

@@ -6,6 +6,7 @@
 
 pub mod interest;
 pub(crate) mod light;
+pub(super) mod normals;
 pub(super) mod roulette;
 
 use ad_core::Real;

@@ -1,6 +1,6 @@
 //! Many paths at one emitter, at once: samples of it, and environments that paths leave the scene towards.
 
-use ad_core::{Const, Float, Vec2, Vec3};
+use ad_core::{Float, Vec2, Vec3};
 
 use super::lanes::{Field, Lane, Lanes, WAVE_SIZE, lanes, whole};
 use super::lookups::{Lookups, image};
@@ -8,7 +8,7 @@ use crate::emitter::{
     AnyEmitter, Area, Emission, Emitter, EmitterSample, Envmap, LocalSums, MapPoint,
 };
 use crate::estimator::Strategy;
-use crate::integrator::vertex::light::Met;
+use crate::integrator::vertex::light::{Met, counts_hits, has_rival, may_have_rival, met_weight};
 use crate::math::{NOWHERE, Rgb};
 use crate::params::Theta;
 use crate::scene::Scene;
@@ -275,8 +275,7 @@ impl<P: Float> Leaving<P> {
     }
 
     /// What [`crate::integrator::vertex::light::find_light`] finds where `paths`, with these directions, leave towards
-    /// an environment map. `rivals`: whether it could have been sampled, unless along a delta, where densities are zero;
-    /// `share` is then its share. Calls `put` with each path.
+    /// an environment map with their `depth`-th edge, where it has this `share` of samples. Calls `put` with each path.
     #[inline(always)]
     pub fn meet<S: Strategy>(
         &mut self,
@@ -284,7 +283,7 @@ impl<P: Float> Leaving<P> {
         theta: &Theta<P>,
         lookups: &mut Lookups<P>,
         (d, pdf): (&Lanes<P>, &Lane<P>),
-        (rivals, share): (bool, P),
+        (depth, share): (u32, P),
         mut put: impl FnMut(usize, Met<P>, Rgb<P>),
     ) {
         let (paths, at) = (&self.paths, &mut *self.lanes);
@@ -294,8 +293,8 @@ impl<P: Float> Leaving<P> {
             at.pdf_bsdf[k] = pdf[i];
         }
         at.find(e, paths.len());
-        if rivals {
-            at.weigh::<S>(e, paths.len(), share);
+        if may_have_rival::<S>(depth) {
+            at.weigh::<S>(e, paths.len(), (depth, share));
         } else {
             at.weight = [P::one(); WAVE_SIZE];
         }
@@ -305,7 +304,7 @@ impl<P: Float> Leaving<P> {
         }
         for (k, &i) in paths.iter().enumerate() {
             let k = k % WAVE_SIZE;
-            if rivals && !S::COUNTS_HITS && at.pdf_bsdf[k] > P::zero() {
+            if !counts_hits::<S, P>(at.pdf_bsdf[k]) {
                 continue;
             }
             let emission = e.emission(Vec2::new(at.u[k], at.v[k]));
@@ -342,7 +341,7 @@ impl<P: Float> Skies<P> {
     }
 
     #[inline(never)]
-    fn weigh<S: Strategy>(&mut self, e: &Envmap, n: usize, share: P) {
+    fn weigh<S: Strategy>(&mut self, e: &Envmap, n: usize, (depth, share): (u32, P)) {
         for k in 0..n.min(WAVE_SIZE) {
             let ([above, below], [[a, b], [c, d]]) = e.corners([self.band[k], self.cell[k]]);
             (self.above[k], self.below[k]) = (above, below);
@@ -356,8 +355,9 @@ impl<P: Float> Skies<P> {
             ];
             let edges = [self.above[k], self.below[k]];
             let pdf = Envmap::density_in(&self.spot(k), self.fx[k], edges, corners);
-            let sampled = self.pdf_bsdf[k] > P::zero();
-            let weight = S::weight_hit(self.pdf_bsdf[k], pdf * Const(share));
+            let pdf_bsdf = self.pdf_bsdf[k];
+            let weight = met_weight::<S, P>(pdf_bsdf, pdf, share);
+            let sampled = has_rival::<S, P>(depth, pdf_bsdf);
             self.weight[k] = P::select(sampled, weight, P::one());
         }
     }

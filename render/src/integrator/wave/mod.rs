@@ -19,6 +19,7 @@ mod lookups;
 mod numbers;
 mod record;
 mod start;
+mod state;
 mod waiting;
 
 use ad_core::{Float, Vec2, Vec3};
@@ -26,36 +27,38 @@ pub(super) use derivatives::LayerAdjoints;
 use derivatives::albedo;
 use kinds::{Kinds, has_two_sides, seen_from, side};
 pub(super) use lanes::WAVE_SIZE;
-use lanes::{Field, Lane, Lanes, lanes, whole};
+use lanes::{Field, Lane, Lanes, whole};
 use lights::{Group, Leaving, MOST_TOGETHER, together};
 use lookups::{Lookups, image};
 use numbers::{bits, draw_units, sobol};
 pub(super) use record::Record;
 use smallvec::SmallVec;
+use state::{Bounces, Lights, Paths, Vertices};
 use waiting::Waiting;
 
 use super::direct::{Departure, FoundEdge};
 use super::lockstep;
 use super::path::Context;
-use super::vertex::interest::{Interest, PathInterest, splits};
+use super::vertex::interest::Interest;
 use super::vertex::light::{
-    LitVertex, Looking, Met, Rival, choose, counts_hits, density, find_light, find_lights,
-    guide_of, guided, has_rival, is_along_delta, is_led, matters, mis_weight, mixed,
-    normals_weight, per_density, weighs,
+    LitVertex, Looking, Met, Rival, choose, density, emitters_at, find_light, find_lights,
+    guide_of, guided, has_rival, is_along_delta, is_led, looks_for_light, matters, mis_weight,
+    mixed, per_density, weighs,
 };
+use super::vertex::normals::{normals_pair, normals_weight, splits};
 use super::vertex::roulette::{play, probability, roulette_weight};
 use super::vertex::{MODE, assert_finite, has_more, may_go_on};
 use crate::accel::{Hit, PACKET_SIZE, RayPacket};
 use crate::bsdf::{Bsdf, Component, DiffuseLobe, Lobe, Material, Shading};
-use crate::emitter::{AnyEmitter, Area, Emission, Emitter, EmitterSample};
+use crate::emitter::{AnyEmitter, Area, Emitter};
 use crate::estimator::{Detached, Sampling, Strategy, differentiates_edges};
 use crate::guide::{Directions, Guide};
-use crate::manifold::{Run, Split};
-use crate::math::{Frame, NOWHERE, Ray, Rgb, Segment};
+use crate::manifold::Split;
+use crate::math::{NOWHERE, Ray, Rgb, Segment};
 use crate::params::Theta;
 use crate::sampler::{Points, Purpose, Sampler, sobol_bits};
 use crate::scene::Scene;
-use crate::shape::{AnyShape, Exit, Shape, SurfaceInteraction, sample_cone};
+use crate::shape::{AnyShape, Shape, SurfaceInteraction, sample_cone};
 use crate::texture::Texture;
 
 /// Keeps what happens to the paths of a wave.
@@ -101,262 +104,6 @@ impl<P: Float> Log<P> for () {
     ) {
     }
     fn layer<X>(&mut self, _wave: &mut Wave<P, X>) {}
-}
-
-lanes! {
-    /// What paths take along. The names are those of [`super::path::Walk`].
-    Paths {
-        /// Number within the wave, in the order of their start.
-        id: Lane<u32>,
-        /// Place among the vertices before.
-        slot: Lane<u32>,
-        /// Of their random numbers, see [`crate::sampler::Stream`].
-        key: Lane<u64>,
-        /// Likewise.
-        index: Lane<u32>,
-        /// Origin of the next edge.
-        o: Lanes<P>,
-        /// Its direction.
-        d: Lanes<P>,
-        /// The surface that it leaves.
-        surface: Lane<u32>,
-        /// Throughput.
-        beta: Lanes<P>,
-        /// Radiance so far.
-        l: Lanes<P>,
-        /// The vertex before.
-        from: Lanes<P>,
-        /// Relative index along the path.
-        eta: Lane<P>,
-        /// What roulette goes by.
-        roulette_weight: Lane<P>,
-        /// Density of the last direction; zero if it was a delta.
-        pdf: Lane<P>,
-        /// Whether a vertex so far is one that the log differentiates.
-        active: Lane<u32>,
-        /// Whether others find caustics on the first vertex, in the lowest bit; [`BENT`], which is kept where emitters are hidden.
-        caustics_excluded: Lane<u32>,
-        /// Whether light on this edge would be one, in the lowest bit; above it, where the path is on a specular chain.
-        caustic: Lane<u32>,
-    }
-}
-
-lanes! {
-    /// Where paths are.
-    Vertices {
-        /// Whether they are anywhere.
-        there: Lane<u32>,
-        /// Index of the material.
-        material: Lane<u32>,
-        /// Whether that is diffuse.
-        plain: Lane<u32>,
-        /// Whether it is one of those that [`Kinds`] has.
-        sorted: Lane<u32>,
-        /// Whether it is seen from both sides.
-        both: Lane<u32>,
-        /// Whether it is the back of a material that is another one there.
-        back: Lane<u32>,
-        /// One; minus one behind what is seen from both sides.
-        side: Lane<P>,
-        /// Whether it scatters along deltas only.
-        delta: Lane<u32>,
-        /// Whether the log differentiates its material.
-        differentiated: Lane<u32>,
-        /// Whether the change of its normals has samples of its own.
-        splits: Lane<u32>,
-        /// Whether light is looked for.
-        lit: Lane<u32>,
-        /// One more than the index of the densities that lead scattered directions; zero if none do.
-        guide: Lane<u32>,
-        /// How far rays start off the surface.
-        offset: Lane<f32>,
-        /// The surface that they cannot meet again.
-        surface: Lane<u32>,
-        /// Albedo of what is plain.
-        albedo: Lanes<P>,
-        /// Position.
-        p: Lanes<P>,
-        /// Geometric normal.
-        n_geo: Lanes<P>,
-        /// Shading frame.
-        s: Lanes<P>,
-        /// Shading frame.
-        t: Lanes<P>,
-        /// Shading frame.
-        n: Lanes<P>,
-        /// Surface coordinate.
-        u: Lane<P>,
-        /// Surface coordinate.
-        v: Lane<P>,
-    }
-}
-
-/// The bit of [`PathInterest::bent`].
-const BENT: u32 = 2;
-
-impl<P: Float> Paths<P> {
-    #[inline(always)]
-    fn interest(&self, i: usize) -> PathInterest {
-        PathInterest {
-            active: self.active[i] != 0,
-            caustics_excluded: self.caustics_excluded[i] & 1 != 0,
-            bent: self.caustics_excluded[i] & BENT != 0,
-            caustic: self.caustic[i] & 1 != 0,
-            run: Run::from_bits(self.caustic[i] >> 1),
-        }
-    }
-
-    #[inline(always)]
-    fn put_interest(&mut self, i: usize, interest: PathInterest) {
-        self.active[i] = u32::from(interest.active);
-        self.caustics_excluded[i] =
-            u32::from(interest.caustics_excluded) | (u32::from(interest.bent) * BENT);
-        self.caustic[i] = u32::from(interest.caustic) | interest.run.bits() << 1;
-    }
-}
-
-impl<P: Float> Vertices<P> {
-    #[inline(always)]
-    fn frame(&self, i: usize) -> Frame<P> {
-        Frame {
-            s: self.s.vec(i),
-            t: self.t.vec(i),
-            n: self.n.vec(i),
-        }
-    }
-
-    #[inline(always)]
-    fn uv(&self, i: usize) -> Vec2<P> {
-        Vec2::new(self.u[i], self.v[i])
-    }
-
-    #[inline(always)]
-    fn exit(&self, i: usize) -> Exit {
-        Exit {
-            offset: self.offset[i],
-            surface: self.surface[i],
-        }
-    }
-
-    #[inline(always)]
-    fn interaction(&self, i: usize) -> SurfaceInteraction<P> {
-        SurfaceInteraction {
-            p: self.p.vec(i),
-            t: P::zero(),
-            n_geo: self.n_geo.vec(i),
-            frame: self.frame(i),
-            uv: self.uv(i),
-        }
-    }
-
-    #[inline(always)]
-    fn put(&mut self, i: usize, si: &SurfaceInteraction<P>) {
-        self.p.put_vec(i, si.p);
-        self.n_geo.put_vec(i, si.n_geo);
-        self.s.put_vec(i, si.frame.s);
-        self.t.put_vec(i, si.frame.t);
-        self.n.put_vec(i, si.frame.n);
-        (self.u[i], self.v[i]) = (si.uv.x, si.uv.y);
-    }
-}
-
-lanes! {
-    /// Samples of emitters.
-    Lights {
-        /// Index of the emitter.
-        emitter: Lane<u32>,
-        /// Direction to it, world space.
-        d: Lanes<P>,
-        /// How far away it is.
-        distance: Lane<P>,
-        /// The surface that it lies on.
-        surface: Lane<u32>,
-        /// Density; zero if there is no sample.
-        pdf: Lane<P>,
-        /// One over the probability that it was kept.
-        kept: Lane<P>,
-        /// Of the emission.
-        falloff: Lane<P>,
-        /// Where it is emitted.
-        u: Lane<P>,
-        /// Where it is emitted.
-        v: Lane<P>,
-        /// Direction to it, local frame.
-        wi: Lanes<P>,
-        /// Value of the BSDF.
-        f: Lanes<P>,
-        /// Its density.
-        pdf_bsdf: Lane<P>,
-        /// Value of the BSDF of what is plain, if it were white.
-        white: Lane<P>,
-        /// Emitted radiance.
-        le: Lanes<P>,
-        /// MIS weight over density.
-        weight: Lane<P>,
-        /// The same for the change of normals, where that has samples of its own.
-        normals_weight: Lane<P>,
-        /// What arrives at the start of the path, if nothing is in between.
-        direct: Lanes<P>,
-        /// Origin of the shadow ray.
-        shadow_o: Lanes<P>,
-        /// Its direction.
-        shadow_d: Lanes<P>,
-        /// Its length; zero if there is none, or if it was not free.
-        shadow_t: Lane<P>,
-    }
-}
-
-impl<P: Float> Lights<P> {
-    #[inline(always)]
-    fn put(
-        &mut self,
-        i: usize,
-        (emitter, kept): (u32, P),
-        share: P,
-        sample: Option<EmitterSample<P>>,
-    ) {
-        let zero = P::zero();
-        let none = (Vec3::zero(), zero, NOWHERE, zero, zero, Vec2::zero());
-        let (d, distance, surface, pdf, falloff, uv) = sample.map_or(none, |s| {
-            let e = s.emission;
-            let pdf = s.pdf * share;
-            (s.d, s.distance, s.surface, pdf, e.falloff, e.uv)
-        });
-        self.emitter[i] = emitter;
-        self.kept[i] = kept;
-        self.d.put_vec(i, d);
-        self.distance[i] = distance;
-        self.surface[i] = surface;
-        self.pdf[i] = pdf;
-        self.falloff[i] = falloff;
-        (self.u[i], self.v[i]) = (uv.x, uv.y);
-    }
-
-    #[inline(always)]
-    fn emission(&self, i: usize) -> Emission<P> {
-        Emission {
-            uv: Vec2::new(self.u[i], self.v[i]),
-            falloff: self.falloff[i],
-        }
-    }
-}
-
-lanes! {
-    /// Scattered directions.
-    Bounces {
-        /// Local frame.
-        wi: Lanes<P>,
-        /// Value of the BSDF.
-        f: Lanes<P>,
-        /// That of what is plain, if it were white.
-        white: Lane<P>,
-        /// One over density.
-        weight: Lane<P>,
-        /// One over the probability of surviving.
-        inverse_survival: Lane<P>,
-        /// Whether the path goes on.
-        continues: Lane<u32>,
-    }
 }
 
 /// A path that starts with a sample of the change of normals.
@@ -682,7 +429,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         for i in 0..self.n {
             let ray = Ray::new(paths.o.vec(i), paths.d.vec(i)).leaving(paths.surface[i]);
             let mut interest = paths.interest(i);
-            let lit = interest.lit(log) && !settings.hides(depth);
+            let lit = interest.lit(log);
             let sampled = has_rival::<S, P>(depth, paths.pdf[i]);
             let samplers = &mut self.samplers;
             let mut find = |paths: &mut Paths<P>,
@@ -722,9 +469,10 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             (self.at.there[i], self.at.lit[i], self.at.plain[i]) = (0, 0, 1);
             (self.at.guide[i], self.at.sorted[i]) = (0, 0);
             let Some(hit) = &self.hits[i] else {
-                let lit = lit && !settings.hides_sky(interest.bent);
+                let emitters = emitters_at(scene, settings, depth, interest.bent, None);
+                let lit = lit && !emitters.is_empty();
                 if lit && const { L::ENABLED && differentiates_edges::<Of>() } {
-                    find(paths, scene.infinite_emitters(), None);
+                    find(paths, emitters, None);
                 } else if lit {
                     self.leaving.paths.push(i);
                 }
@@ -737,13 +485,14 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                 None => self.at.put(i, &scene.interaction(theta, &ray, hit).si),
             }
             let info = scene.shape_info(shape);
-            if let Some(e) = info.emitter.filter(|_| lit) {
+            let emitters = emitters_at(scene, settings, depth, interest.bent, Some(shape));
+            if lit && !emitters.is_empty() {
                 let t = P::from_f32(hit.t);
                 let si = SurfaceInteraction {
                     t,
                     ..self.at.interaction(i)
                 };
-                find(paths, &[e], Some((hit.prim, si)));
+                find(paths, emitters, Some((hit.prim, si)));
             }
             if depth >= settings.max_depth {
                 continue;
@@ -827,12 +576,11 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         };
         for &emitter in scene.infinite_emitters() {
             let share = settings.lights.share(scene, emitter);
-            let rivals = S::SAMPLES_EMITTERS && depth > 1;
             if let AnyEmitter::Envmap(e) = &scene.emitters()[emitter as usize]
                 && e.is_known()
             {
                 let put = |i, light, le| found(i, emitter, light, le);
-                let (of, light) = ((&d, &pdf), (rivals, share));
+                let (of, light) = ((&d, &pdf), (depth, share));
                 (self.leaving).meet::<S>(e, theta, &mut self.lookups, of, light, put);
                 continue;
             }
@@ -1241,7 +989,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             ..
         } = context;
         let more = has_more(depth, settings);
-        let first = Purpose::NormalsPair.at(depth);
+        let dimension = Purpose::NormalsPair.at(depth);
         let mut aside = self.aside.take().unwrap_or_else(Self::new);
         if self.branches.is_empty() {
             aside.l.clear();
@@ -1271,12 +1019,9 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             if paths.beta.rgb(i).is_black() {
                 continue;
             }
-            // Both samples of a pair go on as ordinary paths of this throughput, made of the same numbers: what they
-            // find is alike, and its noise cancels.
             let mut sampler = self.samplers[paths.id[i] as usize % WAVE_SIZE];
-            sampler.seek(first);
-            let pair = material.sample_differential(&shading, wo, sampler.next_3d(), MODE);
-            for sample in pair.into_iter().flatten() {
+            let pair = normals_pair(material, &shading, wo, MODE, &mut sampler, dimension);
+            for sample in pair {
                 if aside.n == WAVE_SIZE {
                     aside.advance::<Of, S>(context, u32::MAX);
                     aside.next = depth + 1;
@@ -1294,14 +1039,9 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                 aside.paths.from.put_vec(k, at.p.vec(i));
                 aside.paths.pdf[k] = sample.pdf;
                 aside.paths.eta[k] = paths.eta[i] * sample.eta;
-                aside.paths.caustics_excluded[k] = paths.caustics_excluded[i] | BENT;
-                aside.paths.caustic[k] = paths.caustic[i];
-                if let Some(split) = context.split.filter(|split| split.selects()) {
-                    let mut interest = aside.paths.interest(k);
-                    let reflects = wo.z * sample.wi.z > P::zero();
-                    interest.leave_by(Some(split), index, false, reflects);
-                    aside.paths.put_interest(k, interest);
-                }
+                let reflects = wo.z * sample.wi.z > P::zero();
+                let interest = paths.interest(i).branch(context.split, index, reflects);
+                aside.paths.put_interest(k, interest);
                 self.branches.push(Branch {
                     at: i,
                     wi: sample.wi,
@@ -1440,7 +1180,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         }
     }
 
-    /// The last edge only looks for light, and only where light that is hit counts.
+    /// Ends paths whose last edge is of no use.
     #[inline(never)]
     fn keep_last<S: Strategy>(&mut self, scene: &Scene) {
         let (n, paths) = (whole(self.n), &self.paths);
@@ -1448,8 +1188,8 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         let ray = |i: usize| Ray::new(paths.o.vec(i), paths.d.vec(i));
         scene.may_meet_light_each(&mut meets[..n], ray);
         for i in 0..n {
-            let counts = counts_hits::<S, P>(paths.pdf[i]);
-            self.bounces.continues[i] &= u32::from(counts) & meets[i];
+            let is_of_use = looks_for_light::<S, P>(paths.pdf[i], meets[i] != 0);
+            self.bounces.continues[i] &= u32::from(is_of_use);
         }
     }
 }

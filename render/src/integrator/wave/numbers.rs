@@ -2,8 +2,8 @@
 
 use ad_core::Float;
 
-use super::Paths;
 use super::lanes::{Field, Lane};
+use super::state::Paths;
 use crate::sampler::{
     Points, first_four, independent_bits, scrambled, sobol_bits, sobol_points, sobol_set,
 };

@@ -3,7 +3,8 @@
 use ad_core::{Float, Vec2, Vec3};
 
 use super::lanes::{Field, Lane, Lanes, WAVE_SIZE, whole};
-use super::{Log, Paths, Wave};
+use super::state::Paths;
+use super::{Log, Wave};
 use crate::bsdf::{Component, Part};
 use crate::emitter::Emission;
 use crate::estimator::{Edges, Strategy, differentiates_edges};

@@ -2,8 +2,8 @@
 
 use ad_core::Float;
 
-use super::Paths;
 use super::lanes::{Field, WAVE_SIZE};
+use super::state::Paths;
 
 /// With so many paths a wave goes on by itself.
 const ENOUGH: usize = WAVE_SIZE * 3 / 4;

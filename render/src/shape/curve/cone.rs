@@ -31,14 +31,14 @@ pub(super) fn primitive(&[a, b]: &[[f32; 4]; 2]) -> Primitive {
     }
 }
 
-pub(super) fn area(ends: &[[f32; 4]; 2]) -> f64 {
+pub(super) fn area(balls: &[[f32; 4]; 2]) -> f64 {
     let Segment {
         length,
         radii: [a, b],
         sine,
         alone,
         ..
-    } = Segment::<f64>::new(ends);
+    } = Segment::<f64>::new(balls);
     match alone {
         Some(_) => 4.0 * PI * a.max(b) * a.max(b),
         None => {

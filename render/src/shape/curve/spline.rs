@@ -37,9 +37,9 @@ pub(super) fn parts(points: &[[f32; 4]; 4]) -> u8 {
 
 pub(super) fn primitive(points: &[[f32; 4]; 4], first: u32, part: [u8; 2]) -> Primitive {
     let capsule = Cubic::<f64>::new(points).capsule(accel::range(part));
-    let (ends, radius, _) = accel::rounded(&capsule);
+    let (end_points, radius, _) = accel::rounded(&capsule);
     Primitive::Span {
-        ends,
+        end_points,
         radius,
         first,
         part,
