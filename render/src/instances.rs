@@ -87,6 +87,9 @@ fn run<R: Components, S: Unbiased>(job: &Job, theta: &Theta<R>) -> Result<Render
 /// assert!((halves.mean(0)[0] / all.mean(0)[0] - 1.0).abs() < 1e-6);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
+///
+/// # Panics
+/// If `theta` has fewer values than the scene.
 pub fn render_f32(job: &Job, theta: &Theta<f32>, estimator: Estimator) -> Rendering {
     estimator.primal()(job, theta)
 }
@@ -358,6 +361,9 @@ pub fn backward_particles_f32(
 /// }
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
+///
+/// # Panics
+/// If `theta` has fewer values than the scene.
 pub fn render_f64(job: &Job, theta: &Theta<f64>, estimator: Estimator) -> Rendering {
     estimator.primal()(job, theta)
 }

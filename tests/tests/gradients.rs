@@ -1,9 +1,11 @@
 //! Every parameter of every material and emitter: reverse mode equals forward mode to rounding, and both
 //! equal central differences.
 
-use render::Settings;
+use render::bsdf::kernel::Rules;
 use render::estimator::{AllowBias, AttachedChoice, AttachedRoulette, DetachedMis, Unbiased};
-use render::params::ParamInfo;
+use render::instances::{Estimator, backward_particles_f32, particles_f32, tangent_f32};
+use render::params::{ParamInfo, Theta};
+use render::{Job, Settings};
 use tests::cases;
 use tests::stats::{Estimate, z_limit};
 use tests::{
@@ -55,6 +57,39 @@ fn modes_agree<S: Unbiased>() {
             "{}: forward {j} reverse {jt}",
             case.name
         );
+    }
+}
+
+/// One value too few or too many is an error that says so, in both modes, by paths and by particles.
+#[test]
+fn values_of_another_scene_are_refused() {
+    let s = scene(&cases::all()[0].body);
+    let estimator = Estimator::Mis;
+    let names = [smooth_params(&s)[0].name.clone()];
+    let active = estimator.active(&s, &names).expect("known");
+    let adjoint = mean_adjoint(&s);
+    let right = s.params().values();
+    let direction = vec![1.0; active.len()];
+    for wrong in [&right[1..], &[right, &[0.5]].concat()] {
+        let job = Job::new(&s, &s.settings, 1, 0..1, &());
+        let theta = Theta::constant(wrong);
+        let found = [
+            estimator
+                .backward_f32(&job, &theta, &active, &adjoint)
+                .err(),
+            backward_particles_f32(&job, &theta, &active, &adjoint).err(),
+            particles_f32(&job, &theta, Rules::default()).err(),
+            tangent_f32(&job, wrong, &active, &direction).err(),
+        ];
+        for (k, found) in found.into_iter().enumerate() {
+            let message = found.map(|e| e.to_string()).unwrap_or_default();
+            let counts = [right.len(), wrong.len()].map(|n| n.to_string());
+            let named = message.contains("values of parameters");
+            assert!(
+                named && counts.iter().all(|n| message.contains(n)),
+                "{k}: {message}"
+            );
+        }
     }
 }
 

@@ -10,7 +10,7 @@ use super::pass::{Integral, Pass, Question};
 use super::progress::Progress;
 pub use super::sink::Gradient;
 pub(crate) use super::sink::check_size;
-use super::sink::{GradientSums, collect};
+use super::sink::{GradientSums, check_values, collect};
 use crate::error::RenderError;
 use crate::estimator::memory::Memory;
 use crate::estimator::{Strategy, Unbiased};
@@ -34,7 +34,7 @@ use crate::sampler::Sampler;
 /// What the [`Capabilities`](crate::estimator::Capabilities) of the strategy say that it does not see.
 ///
 /// # Errors
-/// An adjoint image of the wrong size; an estimator that the scene's discontinuities would bias
+/// Values of parameters or an adjoint image of the wrong size; an estimator that the scene's discontinuities would bias
 /// ([`Scene::admits`](crate::Scene::admits)), or that has no terms for what moves.
 ///
 /// # Reference
@@ -47,6 +47,7 @@ pub fn backward<P: Float, S: Unbiased, X: Sampler>(
     adjoint: &[f32],
 ) -> Result<Gradient, RenderError> {
     let scene = job.scene;
+    check_values(scene, theta)?;
     check_size("adjoint image", scene, adjoint)?;
     scene.admits::<S>()?;
     active.check_motion::<S>()?;

@@ -27,6 +27,7 @@ use super::record::{
     Bounce, Contribution, EmittedLight, NormalsLight, Observer, Place, SeenVertex,
 };
 use super::rendering::{Components, NonFinite, Rendering};
+use super::sink::check_values;
 use super::vertex::light::{has_tangent, matters};
 use super::vertex::normals::{has_pair, normals_pair};
 use super::vertex::roulette::{play, probability, roulette_weight};
@@ -85,12 +86,13 @@ impl<'a, R: Real> Context<'a, R> {
     /// With the correct rules.
     ///
     /// # Errors
-    /// A scene that particles see otherwise than paths do ([`check`]).
+    /// Another number of values than the scene has, or a scene that particles see otherwise than paths do ([`check`]).
     pub fn new(
         scene: &'a Scene,
         theta: &'a Theta<'a, R>,
         settings: &'a Settings,
     ) -> Result<Self, RenderError> {
+        check_values(scene, theta)?;
         check(scene)?;
         Ok(Self::unchecked(scene, theta, settings))
     }

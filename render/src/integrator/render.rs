@@ -7,6 +7,7 @@ use super::job::Job;
 use super::pass::{Integral, Pass, Question};
 pub use super::progress::Progress;
 pub use super::rendering::{Components, NonFinite, PixelConnections, Rendering};
+use super::sink::check_values;
 pub use super::tile::TILE;
 use crate::error::RenderError;
 use crate::estimator::{self, Strategy, Unbiased};
@@ -19,13 +20,14 @@ use crate::sampler::Sampler;
 /// It depends on the arguments only, not on the number of threads.
 ///
 /// # Errors
-/// A strategy that is wrong in this scene ([`Scene::admits`](crate::Scene::admits)) or for a parameter that moves
-/// ([`estimator::check_parameter`]); none without tangents.
+/// Another number of values than the scene has. With tangents, a strategy that is wrong in this scene
+/// ([`Scene::admits`](crate::Scene::admits)) or for a parameter that moves ([`estimator::check_parameter`]).
 pub fn render<R: Components, S: Unbiased, X: Sampler>(
     job: &Job,
     theta: &Theta<R>,
 ) -> Result<Rendering, RenderError> {
     let &Job { scene, .. } = job;
+    check_values(scene, theta)?;
     if !R::IS_PRIMAL {
         scene.admits::<S>()?;
         let moves = |info: &&ParamInfo| theta.moves(scene.params().handle(info));

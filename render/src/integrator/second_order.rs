@@ -54,7 +54,7 @@ use super::pass::Pass;
 use super::path::Context;
 use super::record::{Recorder, SumSink};
 use super::rendering::NonFinite;
-use super::sink::{Gradient, Sink, check_size, collect};
+use super::sink::{Gradient, Sink, check_size, check_values, collect};
 use super::sparse::Sparse;
 use super::tile::{Sample, place};
 use crate::error::RenderError;
@@ -81,7 +81,7 @@ const JOBS: usize = 16;
 /// Memory: as the gradient. The result depends on the arguments only, not on the number of threads.
 ///
 /// # Errors
-/// Images or a direction of the wrong size, or parameters that move something.
+/// Values, images or a direction of the wrong size, or parameters that move something.
 pub fn hessian_vector<P: Float, X: Sampler>(
     job: &Job,
     theta: &Theta<P>,
@@ -92,6 +92,7 @@ pub fn hessian_vector<P: Float, X: Sampler>(
     let &Job {
         scene, progress, ..
     } = job;
+    check_values(scene, theta)?;
     check_size("adjoint image", scene, adjoint)?;
     check_size("tangent of the adjoint image", scene, adjoint_tangent)?;
     active.check_motion::<DetachedMis>()?;
@@ -151,7 +152,7 @@ impl NormalEquations {
 /// not on the number of threads.
 ///
 /// # Errors
-/// Images of the wrong size, more than [`MAX_VALUES`] values, fewer than two samples, or parameters that move something.
+/// Values or images of the wrong size, more than [`MAX_VALUES`] values, fewer than two samples, or parameters that move something.
 pub fn gauss_newton<P: Float, X: Sampler>(
     job: &Job,
     theta: &Theta<P>,
@@ -161,6 +162,7 @@ pub fn gauss_newton<P: Float, X: Sampler>(
     let &Job {
         scene, progress, ..
     } = job;
+    check_values(scene, theta)?;
     check_size("adjoint image", scene, adjoint)?;
     check_size("weights", scene, weights)?;
     active.check_motion::<DetachedMis>()?;

@@ -1,6 +1,6 @@
 //! Where adjoints of parameters are added up.
 
-use ad_core::Float;
+use ad_core::{Float, Real};
 
 use super::active::{Active, Slot};
 use super::exact::ExactBuffer;
@@ -10,7 +10,7 @@ use super::record::SumSink;
 use super::rendering::NonFinite;
 use super::tile::{Sample, place};
 use crate::error::RenderError;
-use crate::params::{GradSink, ParamRef};
+use crate::params::{GradSink, ParamRef, Theta};
 use crate::scene::Scene;
 
 /// The derivative of `<adjoint, image>`.
@@ -229,6 +229,22 @@ pub(crate) fn check_size(
     }
     Err(RenderError::WrongLength {
         what,
+        expected,
+        found,
+    })
+}
+
+/// Whether there are as many values as the scene has parameters.
+///
+/// # Errors
+/// There are not.
+pub(super) fn check_values<R: Real>(scene: &Scene, theta: &Theta<R>) -> Result<(), RenderError> {
+    let (expected, found) = (scene.params().values().len(), theta.values().len());
+    if expected == found {
+        return Ok(());
+    }
+    Err(RenderError::WrongLength {
+        what: "values of parameters",
         expected,
         found,
     })
