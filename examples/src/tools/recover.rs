@@ -38,8 +38,8 @@ use self::store::{Inputs, Store};
 use super::render::{Method, in_passes, passes};
 use crate::builtin_scene;
 use crate::cli::{
-    ListArgs, LoadArgs, ManifoldArgs, Outcome, SampleArgs, ThreadArgs, ToolError, depth, names_of,
-    report_non_finite, sample_count, warn_of_crossings,
+    ListArgs, LoadArgs, ManifoldArgs, Outcome, SampleArgs, ThreadArgs, ToolError, Walks, depth,
+    names_of, report_non_finite, sample_count, warn_of_crossings,
 };
 use crate::complain;
 use crate::optimise::{Algorithm, Problem, Target};
@@ -256,6 +256,8 @@ struct Recovery {
     truth: Option<Vec<f32>>,
     /// Triangles that are turned over at the start, or were when that was said last.
     folded: BTreeMap<String, usize>,
+    /// What walks to solutions came to, since the run was started or resumed.
+    walks: Walks,
 }
 
 /// Runs the tool.
@@ -339,6 +341,7 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         views,
         truth,
         folded: BTreeMap::new(),
+        walks: Walks::default(),
     };
     if args.resume {
         recovery.check(&state, store.path())?;
@@ -872,6 +875,7 @@ impl Recovery {
         for (bad, seed) in step.non_finite.iter().zip(seeds) {
             report_non_finite(bad, width, seed);
         }
+        self.walks.merge(&step.walks);
         self.report_folds(UNFOLDED);
         let loss = step.loss;
         state.history.push(Row { loss, values });

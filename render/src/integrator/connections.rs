@@ -62,35 +62,36 @@ impl Solved {
         &self,
         moving: impl IntoIterator<Item = &'a ParamInfo>,
     ) -> Result<(), RenderError> {
-        let Self {
-            these,
-            option,
-            error,
-        } = self;
         if !S::Bsdf::DETACHED_PATH {
-            return Err(error(format!(
-                "whole paths that move have none; expected another estimator, or `{option}`"
+            return Err((self.error)(format!(
+                "whole paths that move have none; expected another estimator, or `{}`",
+                self.option
             )));
         }
-        for info in moving {
-            match info.kind {
-                ParamKind::Smooth
-                | ParamKind::Emission
-                | ParamKind::Roughness
-                | ParamKind::Normals => {}
-                ParamKind::Delta
-                | ParamKind::Position
-                | ParamKind::VertexNormals
-                | ParamKind::Camera
-                | ParamKind::LightPosition => {
-                    let name = &info.name;
-                    return Err(error(format!(
-                        "parameter `{name}` moves {these}, which have derivatives only where they stay; expected `{option}`"
-                    )));
-                }
+        moving.into_iter().try_for_each(|info| self.stays(info))
+    }
+
+    /// Refuses a parameter that moves something.
+    ///
+    /// # Errors
+    /// Names it.
+    pub fn stays(&self, info: &ParamInfo) -> Result<(), RenderError> {
+        match info.kind {
+            ParamKind::Smooth | ParamKind::Emission | ParamKind::Roughness | ParamKind::Normals => {
+                Ok(())
+            }
+            ParamKind::Delta
+            | ParamKind::Position
+            | ParamKind::VertexNormals
+            | ParamKind::Camera
+            | ParamKind::LightPosition => {
+                let (name, these, option) = (&info.name, self.these, self.option);
+                Err((self.error)(format!(
+                    "parameter `{name}` moves {these}, which have derivatives only where they stay; expected `{option}`, and an \
+                     estimator that sees it"
+                )))
             }
         }
-        Ok(())
     }
 
     /// The error for a pass that leaves their light out; `whose`: what it computes.
@@ -115,6 +116,14 @@ pub(super) fn check<'a, S: Strategy>(
         split.admits(scene, connections.method)?;
     }
     CHAINS.check::<S>(moving)
+}
+
+/// [`Solved::stays`], if connections are made.
+pub(super) fn stays(settings: &Settings, info: &ParamInfo) -> Result<(), RenderError> {
+    match settings.connections {
+        Some(_) => CHAINS.stays(info),
+        None => Ok(()),
+    }
 }
 
 /// Refuses connections in a pass that leaves their light out; `whose`: what it computes.
@@ -589,6 +598,7 @@ pub(super) fn gradient<P: Float, X: Sampler>(
             path: PathRecord::default(),
             connected: Vec::new(),
         };
+        let mut came_to = Statistics::default();
         for tile in tiles.iter().skip(job).step_by(jobs) {
             for (_, sample) in tile.samples::<P, X>(scene, points, seed, &pass.samples) {
                 if pass.progress.cancelled() {
@@ -599,6 +609,7 @@ pub(super) fn gradient<P: Float, X: Sampler>(
                 recording.connected.clear();
                 start::<P, Scattering, X>(scene, points, seed, sample.pixel, sample.index)
                     .finish(&context, &mut recording);
+                came_to.merge(&recording.connecting.came_to);
                 let d = sample.of_image::<P>(adjoint, scene) * P::of(sample.scale());
                 let mut l = Rgb::black();
                 for path in recording.connected.drain(..) {
@@ -611,7 +622,10 @@ pub(super) fn gradient<P: Float, X: Sampler>(
             }
             pass.progress.advance(tile.pixels() as u64);
         }
-        (sink.into_small(), non_finite)
+        ((sink.into_small(), non_finite), came_to)
     });
-    sums.with_parts(parts)
+    let (parts, came_to): (Vec<_>, Vec<_>) = parts.into_iter().unzip();
+    let mut sums = sums.with_parts(parts);
+    came_to.iter().for_each(|s| sums.connections.merge(s));
+    sums
 }

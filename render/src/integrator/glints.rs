@@ -45,6 +45,14 @@ pub(super) fn check<'a, S: Strategy>(
     }
 }
 
+/// [`Solved::stays`], if glints are sought.
+pub(super) fn stays(settings: &Settings, info: &ParamInfo) -> Result<(), RenderError> {
+    match settings.glints {
+        Some(_) => GLINTS.stays(info),
+        None => Ok(()),
+    }
+}
+
 /// Refuses glints in a pass that leaves their light out; `whose`: what it computes.
 ///
 /// # Errors
@@ -262,7 +270,10 @@ pub(super) fn gradient<P: Float, X: Sampler>(
             }
             pass.progress.advance(tile.pixels() as u64);
         }
-        (sink.into_small(), non_finite)
+        ((sink.into_small(), non_finite), seeking.came_to)
     });
-    sums.with_parts(parts)
+    let (parts, came_to): (Vec<_>, Vec<_>) = parts.into_iter().unzip();
+    let mut sums = sums.with_parts(parts);
+    came_to.iter().for_each(|s| sums.glints.merge(s));
+    sums
 }

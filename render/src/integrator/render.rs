@@ -14,6 +14,7 @@ use crate::error::RenderError;
 use crate::estimator::{self, Strategy, Unbiased};
 use crate::params::{ParamInfo, Theta};
 use crate::sampler::Sampler;
+use crate::scene::Settings;
 
 /// The image of a job: sums over its samples of every pixel of the crop window, `[height][width][3]`, linear RGB.
 ///
@@ -33,6 +34,7 @@ pub fn render<R: Components, S: Unbiased, X: Sampler>(
         let moves = |info: &&ParamInfo| theta.moves(scene.params().handle(info));
         let moving = scene.params().infos().iter().filter(moves);
         for info in moving.clone() {
+            stays(job.settings, info)?;
             estimator::check_parameter::<S>(info)?;
             scene.admits_motion::<S>(info)?;
             scene.admits_outlines::<S>(info, job.settings.max_depth)?;
@@ -41,6 +43,16 @@ pub fn render<R: Components, S: Unbiased, X: Sampler>(
         glints::check::<S>(job.settings, moving)?;
     }
     Ok(unchecked::<R, S, X>(job, theta))
+}
+
+/// Whether light that is found by solving equations, over chains and in glints, stays where it is when a parameter changes, so
+/// that it has a derivative in it, by whatever estimator.
+///
+/// # Errors
+/// Names the parameter, and what it moves.
+pub fn stays(settings: &Settings, info: &ParamInfo) -> Result<(), RenderError> {
+    connections::stays(settings, info)?;
+    glints::stays(settings, info)
 }
 
 /// [`render`] of what has been checked, or has no tangents.
