@@ -27,6 +27,8 @@ mod light;
 mod manifold;
 #[cfg(not(debug_assertions))]
 mod manifold_energy;
+#[cfg(not(debug_assertions))]
+mod manifold_scenes;
 mod mirrors;
 #[cfg(not(debug_assertions))]
 mod mitsuba;
