@@ -350,10 +350,14 @@ fn double<R: Real>(theta: &Theta<R>) -> Vec<f64> {
 
 /// Where connections of a pass are sought.
 fn space<'a, R: Real>(pass: &Pass<'a, R>, values: &'a [f64]) -> Option<Space<'a>> {
+    let Connections {
+        constraint, steps, ..
+    } = pass.settings.connections?;
     Some(Space {
         scene: pass.scene,
         theta: Theta::constant(values),
-        constraint: pass.settings.connections?.constraint,
+        constraint,
+        steps,
     })
 }
 

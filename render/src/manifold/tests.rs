@@ -11,7 +11,9 @@ use crate::bsdf::DeltaKind;
 use crate::math::{Frame, Ray};
 use crate::params::Theta;
 use crate::sampler::{Independent, Sampler};
-use crate::scene::{Connections, Constraint, LoadOptions, Method, Scene, Starts, Uniqueness};
+use crate::scene::{
+    Connections, Constraint, LoadOptions, Method, Scene, Starts, Steps, Uniqueness,
+};
 
 fn scene(body: &str) -> Scene {
     let sensor = r#"<sensor type="perspective"><float name="fov" value="40"/>
@@ -65,6 +67,7 @@ impl Setting {
             scene: &self.scene,
             theta: Theta::constant(&self.values),
             constraint,
+            steps: Steps::default(),
         }
     }
 
@@ -477,6 +480,49 @@ fn success_rates_are_those_of_the_errata() {
         assert!(angle > 0.95, "{x}: {angle}");
         assert!(half < angle / 3.0, "{x}: angle {angle}, half vector {half}");
     }
+}
+
+/// Walks take no more steps than they may, half steps lead to the same solution in more of them, and a walk that ends early is
+/// brought to the same solution.
+#[test]
+fn walks_step_as_they_are_told() {
+    let ring = Setting::new(scene(RING));
+    let start = ring.floor(4.218, -3.074);
+    let target = Target::Point(Vec3::new(-11.982, 10.0, 8.05));
+    let aim = (Vec3::new(7.9, 1.8, -6.1) - start.si.p).normalize();
+    let walk = |steps: Steps| {
+        let space = Space {
+            steps,
+            ..ring.space(Constraint::Angle)
+        };
+        let chain = space.follow(&start, aim, &[(1, DeltaKind::Reflection)]);
+        space.walk(&start, chain.expect("the ring"), &target)
+    };
+    let usual = walk(Steps::default());
+    let there = usual.solution.expect("a solution");
+    let same = |s: Option<Solution>| s.is_some_and(|s| s.is(&there, Uniqueness::ErrorBounds));
+    let few = walk(Steps {
+        most: 1,
+        ..Steps::default()
+    });
+    assert!(few.solution.is_none() && few.steps < usual.steps);
+    let half = walk(Steps {
+        scale: 0.5,
+        most: 200,
+        ..Steps::default()
+    });
+    assert!(
+        half.steps > 2 * usual.steps,
+        "{} {}",
+        half.steps,
+        usual.steps
+    );
+    assert!(same(half.solution));
+    let early = walk(Steps {
+        tolerance: 1e-2,
+        ..Steps::default()
+    });
+    assert!(early.steps <= usual.steps && same(early.solution));
 }
 
 /// On the axis of a mirrored cylinder solutions are a circle (F21): walks are bounded, and what they say is finite.
