@@ -15,6 +15,7 @@ use render::estimator::{Capabilities, Refusal};
 use render::glint::glinty_shapes;
 use render::image_io::Encoding;
 use render::instances::Estimator;
+use render::integrator::gradient::Gradient;
 use render::integrator::particle;
 use render::integrator::render::{NonFinite, Progress};
 use render::integrator::render::{PixelConnections, Rendering};
@@ -791,7 +792,7 @@ impl ManifoldArgs {
         complain_of_casters(scene, &connections);
         if Split::of(scene, &connections).is_none() {
             complain!(
-                "warning: --manifold: nothing smooth to connect lights over; paths find all light"
+                "warning: --manifold: nothing smooth to connect lights over, or none but wide ones; paths find all light"
             );
         }
         settings.connections = Some(connections);
@@ -867,8 +868,9 @@ pub struct ManifoldReport {
     /// What walks came to, of vertices and light samples.
     #[serde(flatten)]
     pub walks: WalkReport,
-    /// The part of the image's light that they brought.
-    pub share_of_light: f64,
+    /// The part of the image's light that they brought, of an image.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub share_of_light: Option<f64>,
     /// Of mnee-unbiased: paths that met light over a chain.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub paths_met: Option<u64>,
@@ -912,9 +914,22 @@ pub fn manifold_planes(rendering: &Rendering) -> Vec<(&'static str, Vec<f32>)> {
 
 impl ManifoldReport {
     /// Of a rendering with these settings; `None` without connections.
-    pub fn of(settings: &Settings, rendering: &Rendering) -> Option<Self> {
+    pub fn of_image(settings: &Settings, rendering: &Rendering) -> Option<Self> {
+        let light: f64 = rendering.sums[0].iter().sum::<f64>() / 3.0;
+        let share = if light > 0.0 {
+            rendering.light_of_connections / light
+        } else {
+            0.0
+        };
+        Some(Self {
+            share_of_light: Some(share),
+            ..Self::of(settings, &rendering.connections)?
+        })
+    }
+
+    /// Of what walks came to, with these settings; `None` without connections.
+    pub fn of(settings: &Settings, s: &Statistics) -> Option<Self> {
         let connections = settings.connections?;
-        let s = &rendering.connections;
         let (method, unbiased) = match connections.method {
             Method::Sms => ("sms".to_owned(), true),
             Method::SmsBiased(trials) => (format!("sms-biased, {trials} walks"), false),
@@ -923,7 +938,6 @@ impl ManifoldReport {
             Method::LeftOut => ("left out".to_owned(), false),
             Method::Paths => ("paths".to_owned(), true),
         };
-        let light: f64 = rendering.sums[0].iter().sum::<f64>() / 3.0;
         let with_paths = connections.method == Method::MneeUnbiased;
         Some(Self {
             method,
@@ -933,21 +947,17 @@ impl ManifoldReport {
             bounces: connections.bounces,
             other_light: connections.light == CasterLight::All,
             walks: WalkReport::of(s),
-            share_of_light: if light > 0.0 {
-                rendering.light_of_connections / light
-            } else {
-                0.0
-            },
+            share_of_light: None,
             paths_met: with_paths.then_some(s.met),
             paths_counted: with_paths.then_some(s.missed),
         })
     }
 
     /// Says what went wrong.
-    pub fn complain(&self) {
+    fn complain(&self) {
         if self.walks.exhausted > 0 {
             complain!(
-                "warning: {} manifold connections ran out of trials: the image is biased where they are; more by --trials",
+                "warning: {} manifold connections ran out of trials: what they bring is biased; more by --trials",
                 self.walks.exhausted
             );
         }
@@ -967,7 +977,7 @@ pub struct GlintReport {
 }
 
 impl GlintReport {
-    /// Of a rendering with these settings; `None` without glints.
+    /// Of what walks came to, with these settings; `None` without glints.
     pub fn of(settings: &Settings, s: &Statistics) -> Option<Self> {
         let glints = settings.glints?;
         let (method, unbiased) = match glints.method {
@@ -982,12 +992,85 @@ impl GlintReport {
     }
 
     /// Says what went wrong.
-    pub fn complain(&self) {
+    fn complain(&self) {
         if self.walks.exhausted > 0 {
             complain!(
-                "warning: {} glints ran out of trials: the image is biased where they are; more by --glint-trials",
+                "warning: {} glints ran out of trials: what they bring is biased; more by --glint-trials",
                 self.walks.exhausted
             );
+        }
+    }
+}
+
+/// What walks came to, over images and gradients.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Walks {
+    connections: Statistics,
+    glints: Statistics,
+}
+
+impl Walks {
+    /// Those of an image.
+    pub fn of_image(image: &Rendering) -> Self {
+        Self {
+            connections: image.connections,
+            glints: image.glints,
+        }
+    }
+
+    /// Those of a gradient.
+    pub fn of_gradient(gradient: &Gradient) -> Self {
+        Self {
+            connections: gradient.connections,
+            glints: gradient.glints,
+        }
+    }
+
+    /// Adds others.
+    pub fn merge(&mut self, other: &Self) {
+        self.connections.merge(&other.connections);
+        self.glints.merge(&other.glints);
+    }
+
+    /// Says what went wrong, and reports.
+    pub fn report(&self, settings: &Settings) -> SolvedReport {
+        let out = SolvedReport {
+            manifold: ManifoldReport::of(settings, &self.connections),
+            glints: GlintReport::of(settings, &self.glints),
+        };
+        out.complain();
+        out
+    }
+}
+
+/// What light came to that is found by solving equations, for reports.
+#[derive(Clone, Debug, Serialize)]
+pub struct SolvedReport {
+    /// Over chains.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub manifold: Option<ManifoldReport>,
+    /// In glints.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub glints: Option<GlintReport>,
+}
+
+impl SolvedReport {
+    /// Of an image with these settings. Says what went wrong.
+    pub fn of_image(settings: &Settings, image: &Rendering) -> Self {
+        let out = Self {
+            manifold: ManifoldReport::of_image(settings, image),
+            glints: GlintReport::of(settings, &image.glints),
+        };
+        out.complain();
+        out
+    }
+
+    fn complain(&self) {
+        if let Some(manifold) = &self.manifold {
+            manifold.complain();
+        }
+        if let Some(glints) = &self.glints {
+            glints.complain();
         }
     }
 }

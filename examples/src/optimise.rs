@@ -19,7 +19,7 @@ use render::sampler::mix64;
 use render::{Image, RenderError, Scene, Settings};
 use serde::{Deserialize, Serialize};
 
-use crate::cli::ToolError;
+use crate::cli::{ToolError, Walks};
 
 /// A scene with unknown parameters, and what they are judged by.
 #[derive(Debug)]
@@ -90,6 +90,8 @@ pub struct Report {
     pub loss: f64,
     /// What went wrong in the image and in the pass of derivatives.
     pub non_finite: [NonFinite; 2],
+    /// What walks to solutions came to, in both.
+    pub walks: Walks,
 }
 
 /// Gauss-Newton matrix and gradient, and what they were taken of.
@@ -111,6 +113,8 @@ fn sum_of(mut sum: Gradient, other: &Gradient) -> Gradient {
         add(sum, other);
     }
     add_non_finite(&mut sum.non_finite, other.non_finite);
+    sum.connections.merge(&other.connections);
+    sum.glints.merge(&other.glints);
     sum.noise = None;
     sum
 }
@@ -129,6 +133,13 @@ fn wrong_in(seen: &[Rendering]) -> NonFinite {
     let mut sum = NonFinite::default();
     seen.iter()
         .for_each(|s| add_non_finite(&mut sum, s.non_finite));
+    sum
+}
+
+/// What walks came to in any of these.
+fn walks_in(seen: &[Rendering]) -> Walks {
+    let mut sum = Walks::default();
+    seen.iter().for_each(|s| sum.merge(&Walks::of_image(s)));
     sum
 }
 
@@ -474,9 +485,14 @@ impl Problem {
         match algorithm {
             Algorithm::FirstOrder(optimizer) => {
                 let step = self.step(values, optimizer, seeds, progress)?;
-                Ok(step.map(|s| Report {
-                    loss: s.loss,
-                    non_finite: [wrong_in(&s.seen), s.gradient.non_finite],
+                Ok(step.map(|s| {
+                    let mut walks = walks_in(&s.seen);
+                    walks.merge(&Walks::of_gradient(&s.gradient));
+                    Report {
+                        loss: s.loss,
+                        non_finite: [wrong_in(&s.seen), s.gradient.non_finite],
+                        walks,
+                    }
                 }))
             }
             Algorithm::GaussNewton(optimizer) => {
@@ -496,6 +512,7 @@ impl Problem {
                 Ok(Some(Report {
                     loss: curved.loss,
                     non_finite: [wrong_in(&curved.seen), derivatives.non_finite],
+                    walks: walks_in(&curved.seen),
                 }))
             }
         }

@@ -28,6 +28,8 @@ mod losses;
 mod manifold;
 #[cfg(not(debug_assertions))]
 mod manifold_energy;
+#[cfg(not(debug_assertions))]
+mod manifold_scenes;
 mod mirrors;
 #[cfg(not(debug_assertions))]
 mod mitsuba;

@@ -22,9 +22,9 @@ use tests::{
     forward_by, mean_adjoint, on_any_threads, picture, reverse_by, scene, smooth_params, values,
 };
 
-const ALPHA: f64 = 1e-3;
+pub(crate) const ALPHA: f64 = 1e-3;
 
-fn camera(origin: &str, target: &str, depth: u32) -> String {
+pub(crate) fn camera(origin: &str, target: &str, depth: u32) -> String {
     format!(
         r#"<integrator type="path"><integer name="max_depth" value="{depth}"/></integrator>
         <sensor type="perspective"><float name="fov" value="40"/>
@@ -34,10 +34,10 @@ fn camera(origin: &str, target: &str, depth: u32) -> String {
     )
 }
 
-const FLOOR: &str = r#"<shape type="rectangle"><bsdf type="diffuse" id="floor"><rgb name="reflectance" value="0.6, 0.5, 0.4"/></bsdf>
+pub(crate) const FLOOR: &str = r#"<shape type="rectangle"><bsdf type="diffuse" id="floor"><rgb name="reflectance" value="0.6, 0.5, 0.4"/></bsdf>
     <transform name="to_world"><scale value="4"/><rotate x="1" angle="-90"/></transform></shape>"#;
 
-fn lamp(size: f64, to: &str) -> String {
+pub(crate) fn lamp(size: f64, to: &str) -> String {
     format!(
         r#"<shape type="rectangle" id="lamp"><transform name="to_world"><scale value="{size}"/>{to}</transform>
         <emitter type="area"><rgb name="radiance" value="9, 8, 7"/></emitter></shape>"#
@@ -199,7 +199,7 @@ fn instances() -> String {
     )
 }
 
-fn with(s: &Scene, connections: Option<Connections>) -> Settings {
+pub(crate) fn with(s: &Scene, connections: Option<Connections>) -> Settings {
     Settings {
         connections,
         ..s.settings
@@ -654,7 +654,13 @@ fn what_is_not_covered_is_refused() {
         .forward_f32(&job, s.params().values(), &eta)
         .unwrap_err()
         .to_string();
-    assert!(error.contains("glass.eta.value"), "{error}");
+    assert!(
+        error.contains(
+            "parameter `glass.eta.value` moves chains, which have derivatives only where they stay; expected `--manifold off`, \
+             and an estimator that sees it"
+        ),
+        "{error}"
+    );
 
     // One walk, and paths for the rest, which never meet a bulb.
     let bulb =

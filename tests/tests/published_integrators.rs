@@ -283,6 +283,13 @@ fn options_of_connected_integrators_are_honoured_or_named() {
         (&[("boolean", "halfvector_constraints", "true")], |c| {
             c.constraint == Constraint::HalfVector
         }),
+        (&[("float", "step_scale", "0.5")], |c| c.steps.scale == 0.5),
+        (&[("integer", "max_iterations", "50")], |c| {
+            c.steps.most == 50
+        }),
+        (&[("float", "solver_threshold", "0.001")], |c| {
+            c.steps.tolerance == 1e-3
+        }),
         (&[("float", "uniqueness_threshold", "0.0001")], |c| {
             c.uniqueness == Uniqueness::Threshold(1e-4)
         }),
@@ -295,9 +302,6 @@ fn options_of_connected_integrators_are_honoured_or_named() {
             assert!(honoured(&found), "{plugin} {options:?}: {found:?}");
         }
         let warned: &[&[Option3]] = &[
-            &[("float", "step_scale", "0.5")],
-            &[("integer", "max_iterations", "50")],
-            &[("float", "solver_threshold", "0.001")],
             &[("float", "uniqueness_threshold", "0.01")],
             &[("boolean", "biased_mnee", "true")],
             &[
@@ -326,6 +330,9 @@ fn options_of_connected_integrators_are_honoured_or_named() {
                 "uniqueness_threshold",
             ),
             (("integer", "max_trials", "0"), "max_trials"),
+            (("integer", "max_iterations", "0"), "max_iterations"),
+            (("float", "step_scale", "2"), "step_scale"),
+            (("float", "solver_threshold", "0"), "solver_threshold"),
             (("float", "no_such_thing", "1"), "no_such_thing"),
         ] {
             let error = load(plugin, &element(&option)).expect_err("refused");

@@ -9,7 +9,7 @@ use render::Job;
 use render::auto::{self, Mixture};
 use render::check::{self, Span};
 use render::instances::{Direction, Estimator, Mode, forward_f64, render_f64};
-use render::integrator::render::{NonFinite, Progress, Rendering};
+use render::integrator::render::{NonFinite, Progress, Rendering, stays};
 use render::params::{ParamInfo, Theta};
 use render::statistics::{self, Estimate};
 use render::{Image, RenderError, Scene, Settings, image_io};
@@ -17,8 +17,8 @@ use serde::{Serialize, Serializer};
 
 use crate::chart::{LineChart, Panel};
 use crate::cli::{
-    self, Choice, ListArgs, LoadArgs, ManifoldArgs, Outcome, SampleArgs, ThreadArgs, ToolError,
-    depth, report_non_finite, sample_count,
+    self, Choice, ListArgs, LoadArgs, ManifoldArgs, Outcome, SampleArgs, SolvedReport, ThreadArgs,
+    ToolError, Walks, depth, report_non_finite, sample_count,
 };
 use crate::output;
 use crate::progress::{Bar, Interrupt};
@@ -218,6 +218,9 @@ struct Report {
     spp: u32,
     #[serde(flatten)]
     samples: SampleArgs,
+    /// What walks of all images came to.
+    #[serde(flatten)]
+    solved: Option<SolvedReport>,
     repeats: u32,
     threads: usize,
     seed: u64,
@@ -392,6 +395,8 @@ struct Run<'a> {
     scene: &'a mut Scene,
     settings: Settings,
     seed: u64,
+    /// What walks came to so far.
+    walks: Walks,
     interrupt: &'a Interrupt,
 }
 
@@ -422,6 +427,7 @@ impl Run<'_> {
                 return Ok(None);
             }
             series.bad.merge(&rendering.non_finite);
+            self.walks.merge(&Walks::of_image(&rendering));
             series.add(&derivative, start.elapsed().as_secs_f64());
         }
         bar.finish();
@@ -669,6 +675,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     let infos = args.params.iter().map(|p| scene.params().find(p).cloned());
     let infos = infos.collect::<Result<Vec<_>, _>>()?;
     for info in &infos {
+        stays(&settings, info)?;
         let mut refusals = estimators.iter().map(|e| e.able(&scene, info));
         let first = refusals.next().unwrap_or(Ok(()));
         if refusals.all(|r| r.is_err()) {
@@ -690,6 +697,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
             scene: &mut scene,
             settings,
             seed: args.seed,
+            walks: Walks::default(),
             interrupt,
         };
         let mut report = Report {
@@ -697,6 +705,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
             reference: reference.map_or("fd", Contestant::name).into(),
             spp: settings.spp,
             samples: args.samples.filled(),
+            solved: None,
             repeats: args.repeats,
             threads,
             seed: args.seed,
@@ -756,6 +765,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
                 break;
             }
         }
+        report.solved = Some(run.walks.report(&settings));
         let verdict = verdict(&report);
         print::out(format_args!("{verdict}"));
         write_report(args, &report, &verdict)?;

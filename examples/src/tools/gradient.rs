@@ -9,15 +9,15 @@ use optim::{Loss, LossKind, OptimError};
 use render::Job;
 use render::auto::{self, Mixture};
 use render::instances::{Direction, Estimator, Mode, forward_f32, render_f32};
-use render::integrator::render::{NonFinite, Progress};
+use render::integrator::render::{NonFinite, Progress, stays};
 use render::params::{ParamInfo, ParamKind, ParamShape, Theta};
 use render::scene::LightChoice;
 use render::{Image, Scene, Settings, image_io};
 use serde::Serialize;
 
 use crate::cli::{
-    self, Choice, ListArgs, LoadArgs, ManifoldArgs, Outcome, SampleArgs, ThreadArgs, ToolError,
-    depth, report_non_finite, sample_count,
+    self, Choice, ListArgs, LoadArgs, ManifoldArgs, Outcome, SampleArgs, SolvedReport, ThreadArgs,
+    ToolError, Walks, depth, report_non_finite, sample_count,
 };
 use crate::output;
 use crate::progress::{Bar, Interrupt};
@@ -161,6 +161,8 @@ struct Report {
     spp: u32,
     #[serde(flatten)]
     samples: SampleArgs,
+    #[serde(flatten)]
+    solved: SolvedReport,
     /// What `--measure-lights` found, per emitter.
     #[serde(skip_serializing_if = "Option::is_none")]
     sampling_weights: Option<Vec<f64>>,
@@ -235,6 +237,14 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         let message = "--measure-lights: all lights are sampled alike; expected --lights one";
         return Err(ToolError::Usage(message.into()));
     }
+    let mut settings = scene.settings;
+    settings.spp = args.spp.unwrap_or(settings.spp);
+    args.samples.apply(&scene, &mut settings)?;
+    args.manifold.apply(&scene, &mut settings)?;
+    settings.max_depth = args.max_depth.unwrap_or(settings.max_depth);
+    for name in &args.params {
+        stays(&settings, scene.params().find(name)?)?;
+    }
     if let Choice::One(e) = args.estimator {
         args.samples.check_guided(e)?;
         e.check(&scene)?;
@@ -246,11 +256,6 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     let ranges = ranges(args, &scene)?;
     let objective = objective(args, &scene)?;
     interrupt.keep();
-    let mut settings = scene.settings;
-    settings.spp = args.spp.unwrap_or(settings.spp);
-    args.samples.apply(&scene, &mut settings)?;
-    args.manifold.apply(&scene, &mut settings)?;
-    settings.max_depth = args.max_depth.unwrap_or(settings.max_depth);
     let read = [
         Some(&args.scene),
         args.adjoint.as_ref(),
@@ -267,10 +272,10 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         let Some(mixture) = learned.mixture.take() else {
             return Ok((None, Vec::new(), learned, threads));
         };
-        let statistics = repeat(args, &scene, &settings, &mixture, &objective, interrupt)?;
-        let images = match &args.images {
-            Some(_) if !interrupt.is_set() => {
-                gradient_images(args, &scene, &settings, &mixture, &ranges, interrupt)?
+        let mut statistics = repeat(args, &scene, &settings, &mixture, &objective, interrupt)?;
+        let images = match (&args.images, &mut statistics) {
+            (Some(_), Some(Statistics { walks, .. })) if !interrupt.is_set() => {
+                gradient_images(args, &scene, &settings, &mixture, &ranges, walks, interrupt)?
             }
             _ => Vec::new(),
         };
@@ -286,6 +291,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         require_finite("derivative image", info, pixels)?;
     }
     statistics.print(&scene, &ranges);
+    let solved = statistics.walks.report(&settings);
     if let Some(dir) = &args.images {
         for (info, image) in ranges.iter().zip(&images) {
             let [exr, png] = image_files(dir, info);
@@ -301,6 +307,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
             mixture: (args.estimator == Choice::Auto).then(|| mixture.to_string()),
             spp: settings.spp,
             samples: args.samples.filled(),
+            solved,
             sampling_weights: learned.weights,
             pixel_weights: (learned.pixels.map(|p| pixel_image(&scene, &p, path))).transpose()?,
             repeats: statistics.repeats,
@@ -621,6 +628,7 @@ struct Statistics {
     /// Sum of squared deviations from the mean [Welford 1962]; empty until the second repeat.
     squares: Vec<Vec<f64>>,
     losses: Vec<f64>,
+    walks: Walks,
     seconds_primal: Vec<f64>,
     seconds_gradient: Vec<f64>,
 }
@@ -803,6 +811,7 @@ fn repeat(
         mean: Vec::new(),
         squares: Vec::new(),
         losses: Vec::new(),
+        walks: Walks::default(),
         seconds_primal: Vec::new(),
         seconds_gradient: Vec::new(),
     };
@@ -828,6 +837,7 @@ fn repeat(
                 d_image = vec![0.0; image.data.len()];
                 loss.gradient(&image.data, target, &mut d_image)?;
                 out.losses.push(loss.value(&image.data, target)?);
+                out.walks.merge(&Walks::of_image(&primal));
             }
         }
         let adjoint = match objective {
@@ -852,6 +862,7 @@ fn repeat(
             report_non_finite(&gradient.non_finite, width, seed);
         }
         bad.merge(&gradient.non_finite);
+        out.walks.merge(&Walks::of_gradient(&gradient));
         out.seconds_gradient.push(seconds);
         out.add(gradient.values);
     }
@@ -866,6 +877,7 @@ fn gradient_images(
     settings: &Settings,
     mixture: &Mixture,
     ranges: &[ParamInfo],
+    walks: &mut Walks,
     interrupt: &Interrupt,
 ) -> Result<Vec<Image>, ToolError> {
     let seed = args.seed;
@@ -879,6 +891,7 @@ fn gradient_images(
             let rendering =
                 mixture.forward_f32(&Job::new(scene, settings, seed, 0..spp, &bar), &info.name)?;
             report_non_finite(&rendering.non_finite, rendering.width, seed);
+            walks.merge(&Walks::of_image(&rendering));
             if bar.cancelled() {
                 return Ok(Vec::new());
             }
@@ -904,6 +917,7 @@ fn gradient_images(
     )?;
     bar.finish();
     report_non_finite(&rendering.non_finite, rendering.width, seed);
+    walks.merge(&Walks::of_image(&rendering));
     if bar.cancelled() {
         return Ok(Vec::new());
     }
@@ -926,6 +940,7 @@ mod tests {
             mean: Vec::new(),
             squares: Vec::new(),
             losses: Vec::new(),
+            walks: Walks::default(),
             seconds_primal: Vec::new(),
             seconds_gradient: vec![3.0, 1.0, 2.0],
         };

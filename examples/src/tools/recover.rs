@@ -18,7 +18,7 @@ use optim::{
 };
 use render::instances::{Estimator, hessian_vector_f32};
 use render::integrator::gradient::Active;
-use render::integrator::render::Rendering;
+use render::integrator::render::{Rendering, stays};
 use render::integrator::second_order::MAX_VALUES;
 use render::params::{ParamShape, Theta};
 use render::sampler::mix64;
@@ -38,8 +38,8 @@ use self::store::{Inputs, Store};
 use super::render::{Method, in_passes, passes};
 use crate::builtin_scene;
 use crate::cli::{
-    ListArgs, LoadArgs, ManifoldArgs, Outcome, SampleArgs, ThreadArgs, ToolError, depth, names_of,
-    report_non_finite, sample_count, warn_of_crossings,
+    ListArgs, LoadArgs, ManifoldArgs, Outcome, SampleArgs, ThreadArgs, ToolError, Walks, depth,
+    names_of, report_non_finite, sample_count, warn_of_crossings,
 };
 use crate::complain;
 use crate::optimise::{Algorithm, Problem, Target};
@@ -256,6 +256,8 @@ struct Recovery {
     truth: Option<Vec<f32>>,
     /// Triangles that are turned over at the start, or were when that was said last.
     folded: BTreeMap<String, usize>,
+    /// What walks to solutions came to, since the run was started or resumed.
+    walks: Walks,
 }
 
 /// Runs the tool.
@@ -280,10 +282,10 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         (job, None, store.transpose()?)
     };
     let estimator = Estimator::from_name(&job.estimator)?;
-    let (mut scene, active, start, truth) = load(&job, estimator)?;
+    let (mut scene, settings, active, start, truth) = load(&job, estimator)?;
     interrupt.keep();
     estimator.check(&scene)?;
-    let settings = settings(&job, &scene, estimator, &active)?;
+    check_derivatives(&job, (&scene, &settings), estimator, &active)?;
     let loss: LossKind = job.loss.parse()?;
     let panels_file = args.out.join(PANELS);
     let views = views(&job, &scene)?;
@@ -339,6 +341,7 @@ fn recover(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         views,
         truth,
         folded: BTreeMap::new(),
+        walks: Walks::default(),
     };
     if args.resume {
         recovery.check(&state, store.path())?;
@@ -486,24 +489,35 @@ fn targets(
     Ok(Some(targets))
 }
 
-/// How its images and derivatives are made.
+/// How its images and derivatives by the named parameters are made.
 ///
 /// # Errors
-/// What these derivatives cannot be had with, before anything is made or written.
-fn settings(
-    job: &Job,
-    scene: &Scene,
-    estimator: Estimator,
-    active: &Active,
-) -> Result<Settings, ToolError> {
-    job.samples.check_guided(estimator)?;
+/// What cannot be made like that.
+fn settings<N: AsRef<str>>(job: &Job, scene: &Scene, names: &[N]) -> Result<Settings, ToolError> {
     let mut settings = scene.settings;
     settings.spp = job.spp;
     settings.max_depth = job.max_depth.unwrap_or(settings.max_depth);
     job.samples.apply(scene, &mut settings)?;
     job.manifold.apply(scene, &mut settings)?;
+    for name in names {
+        stays(&settings, scene.params().find(name.as_ref())?)?;
+    }
+    Ok(settings)
+}
+
+/// Whether the derivatives can be had.
+///
+/// # Errors
+/// What they cannot be had with, before anything is made or written.
+fn check_derivatives(
+    job: &Job,
+    (scene, settings): (&Scene, &Settings),
+    estimator: Estimator,
+    active: &Active,
+) -> Result<(), ToolError> {
+    job.samples.check_guided(estimator)?;
     // Without samples they check what they are asked for, and do nothing else.
-    let none = render::Job::new(scene, &settings, 0, 0..0, &());
+    let none = render::Job::new(scene, settings, 0, 0..0, &());
     let theta = Theta::constant(scene.params().values());
     let adjoint = vec![0.0; scene.film.pixels() * 3];
     if job.optimizer == OptimizerArg::GaussNewton && estimator == Estimator::SECOND_ORDER {
@@ -512,17 +526,18 @@ fn settings(
     } else {
         estimator.backward_f32(&none, &theta, active, &adjoint)?;
     }
-    Ok(settings)
+    Ok(())
 }
 
-/// A scene, its unknowns, their start values and, if known, the truth.
-type Loaded = (Scene, Active, Vec<f32>, Option<Vec<f32>>);
+/// A scene, how its images are made, its unknowns, their start values and, if known, the truth.
+type Loaded = (Scene, Settings, Active, Vec<f32>, Option<Vec<f32>>);
 
 fn load(job: &Job, estimator: Estimator) -> Result<Loaded, ToolError> {
     let Some(path) = &job.scene else {
         let mut scene = render::scene::room(job.size, job.size)?;
         let unknowns = builtin_scene::cornell_unknowns();
         let names = names_of(&mut scene, &job.keys()?)?;
+        let settings = settings(job, &scene, &names)?;
         let active = estimator.active(&scene, &names)?;
         let (mut start, mut truth) = (Vec::new(), Vec::new());
         for info in active.ranges() {
@@ -533,7 +548,7 @@ fn load(job: &Job, estimator: Estimator) -> Result<Loaded, ToolError> {
                 None => start.extend_from_slice(values),
             }
         }
-        return Ok((scene, active, start, Some(truth)));
+        return Ok((scene, settings, active, start, Some(truth)));
     };
     let load = LoadArgs {
         defines: job.defines.clone(),
@@ -547,13 +562,14 @@ fn load(job: &Job, estimator: Estimator) -> Result<Loaded, ToolError> {
     };
     let (mut scene, _) = load.load_with(&path.0, &options)?;
     let names = names_of(&mut scene, &job.keys()?)?;
+    let settings = settings(job, &scene, &names)?;
     let active = estimator.active(&scene, &names)?;
     warn_of_crossings(&scene, estimator, &names);
     let mut start = Vec::new();
     for info in active.ranges() {
         start.extend_from_slice(&scene.params().values()[info.range()]);
     }
-    Ok((scene, active, start, None))
+    Ok((scene, settings, active, start, None))
 }
 
 /// Whether a picture has all of its samples.
@@ -872,6 +888,7 @@ impl Recovery {
         for (bad, seed) in step.non_finite.iter().zip(seeds) {
             report_non_finite(bad, width, seed);
         }
+        self.walks.merge(&step.walks);
         self.report_folds(UNFOLDED);
         let loss = step.loss;
         state.history.push(Row { loss, values });

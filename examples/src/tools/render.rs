@@ -20,8 +20,8 @@ use render::{RenderError, Scene, Settings, image_io};
 use serde::Serialize;
 
 use crate::cli::{
-    GlintReport, LoadArgs, ManifoldArgs, ManifoldReport, Outcome, SampleArgs, ThreadArgs,
-    ToolError, depth, manifold_planes, report_non_finite, sample_count, warn_of_unsampled,
+    LoadArgs, ManifoldArgs, Outcome, SampleArgs, SolvedReport, ThreadArgs, ToolError, depth,
+    manifold_planes, report_non_finite, sample_count, warn_of_unsampled,
 };
 use crate::output;
 use crate::progress::{Bar, Interrupt};
@@ -264,10 +264,8 @@ struct Report {
     spp: u64,
     #[serde(flatten)]
     samples: SampleArgs,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    manifold: Option<ManifoldReport>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    glints: Option<GlintReport>,
+    #[serde(flatten)]
+    solved: SolvedReport,
     #[serde(skip_serializing_if = "Option::is_none")]
     manifold_check: Option<Energy>,
     threads: usize,
@@ -391,14 +389,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     let seconds_render = start.elapsed().as_secs_f64();
 
     report_non_finite(&rendering.non_finite, rendering.width, args.seed);
-    let manifold = ManifoldReport::of(&settings, &rendering);
-    if let Some(manifold) = &manifold {
-        manifold.complain();
-    }
-    let glints = GlintReport::of(&settings, &rendering.glints);
-    if let Some(glints) = &glints {
-        glints.complain();
-    }
+    let solved = SolvedReport::of_image(&settings, &rendering);
     let image = rendering.image(0);
     let alpha = scene.film.alpha.then(|| {
         // Of the samples that the image holds.
@@ -420,7 +411,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         }
     }
     if let Some(energy) = &energy {
-        energy.say();
+        energy.say(solved.manifold.as_ref().is_some_and(|m| m.unbiased));
     }
     if let Some(path) = &args.json {
         let report = Report {
@@ -429,8 +420,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
             height: rendering.height,
             spp: rendering.samples,
             samples: args.samples.filled(),
-            manifold: manifold.clone(),
-            glints: glints.clone(),
+            solved,
             manifold_check: energy,
             threads,
             seconds_load,

@@ -199,14 +199,88 @@ fn manifold_connections_are_rendered_reported_and_checked() {
         "ball.xml --manifold sms --param glass.eta.value --estimator mis",
     );
     let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    let moved = "parameter `glass.eta.value` moves chains, which have derivatives only where they stay; expected `--manifold off`, \
+                 and an estimator that sees it";
     assert!(
-        !output.status.success() && message.contains("glass.eta.value"),
+        !output.status.success() && message.contains(moved),
         "{message}"
     );
-    dir.ok(
-        "gradient",
-        "ball.xml --manifold sms --param floor.reflectance.value --spp 8 --repeats 2 --json g.json",
+    let output = dir.run(
+        "compare",
+        "ball.xml --manifold sms --param glass.eta.value --out none",
     );
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(
+        !output.status.success() && message.contains(moved),
+        "{message}"
+    );
+}
+
+/// Gradients, their comparison and recovery say what walks came to, as images do: that trials ran out, and that the result is
+/// biased.
+#[test]
+fn derivatives_say_what_walks_came_to() {
+    let dir = Folder::new();
+    let text = r#"<scene version="3.0.0"><integrator type="path"><integer name="max_depth" value="5"/></integrator>
+        <sensor type="perspective"><float name="fov" value="40"/>
+        <transform name="to_world"><lookat origin="0, 3, 4" target="0, 0.2, 0" up="0, 1, 0"/></transform>
+        <film type="hdrfilm"><integer name="width" value="8"/><integer name="height" value="8"/></film></sensor>
+        <shape type="rectangle"><bsdf type="diffuse" id="floor"/>
+        <transform name="to_world"><scale value="4"/><rotate x="1" angle="-90"/></transform></shape>
+        <shape type="sphere"><point name="center" value="0, 0.9, 0"/><float name="radius" value="0.7"/>
+        <bsdf type="dielectric" id="glass"/></shape>
+        <shape type="rectangle"><transform name="to_world"><scale value="0.8"/><rotate x="1" angle="90"/><translate y="3"/>
+        </transform><emitter type="area"/></shape></scene>"#;
+    std::fs::write(dir.path("ball.xml"), text).unwrap();
+    let param = "--param floor.reflectance.value";
+    dir.ok("render", "ball.xml --spp 4 -o photo.exr");
+    for (tool, args, report) in [
+        (
+            "gradient",
+            format!("ball.xml {param} --spp 8 --repeats 2 --json g.json"),
+            "g.json",
+        ),
+        (
+            "compare",
+            format!("ball.xml {param} --spp 8 --repeats 4 --estimators mis,mis-balance --out c"),
+            "c/report.json",
+        ),
+        (
+            "recover",
+            format!("ball.xml {param} --spp 4 --iterations 3 --target photo.exr --out r"),
+            "r/result.json",
+        ),
+    ] {
+        dir.ok(tool, &format!("{args} --manifold sms"));
+        let found = &dir.json(report)["manifold"];
+        assert_eq!(
+            (&found["method"], &found["unbiased"], &found["exhausted"]),
+            (&"sms".into(), &true.into(), &0.into()),
+            "{tool}"
+        );
+        assert!(found["walks"].as_u64().unwrap() > 0, "{tool}: {found}");
+        let again = args
+            .replace("--out ", "--out few-")
+            .replace("g.json", "few-g.json");
+        let few = dir.run(
+            tool,
+            &format!("{again} --manifold sms --trials 1 --starts uniform"),
+        );
+        let message = String::from_utf8_lossy(&few.stderr).into_owned();
+        assert!(
+            few.status.success() && message.contains("connections ran out of trials"),
+            "{tool}: {message}"
+        );
+        let found = &dir.json(&format!("few-{report}"))["manifold"];
+        assert_eq!(found["unbiased"], false, "{tool}: {found}");
+        assert!(found["exhausted"].as_u64().unwrap() > 0, "{tool}: {found}");
+        // Without connections there is nothing to say.
+        let off = args
+            .replace("--out ", "--out off-")
+            .replace("g.json", "off-g.json");
+        dir.ok(tool, &off);
+        assert!(dir.json(&format!("off-{report}")).get("manifold").is_none());
+    }
 }
 
 #[test]

@@ -174,7 +174,10 @@ fn a_floor_under_glass_is_recovered_by_connections() {
     }
     // What moves chains, and second derivatives, are refused before anything is written.
     for (more, expected) in [
-        ("--param glass.eta.value", "glass.eta.value"),
+        (
+            "--param glass.eta.value",
+            "parameter `glass.eta.value` moves chains",
+        ),
         ("--optimizer gauss-newton", "second derivatives"),
     ] {
         let refused = dir.run(

@@ -7,6 +7,7 @@ use crate::instances::{Direction, Estimator};
 use crate::integrator::Job;
 use crate::integrator::gradient::Gradient;
 use crate::integrator::render::{NonFinite, Rendering};
+use crate::manifold::Statistics;
 use crate::params::Theta;
 use crate::scene::Scene;
 
@@ -311,6 +312,8 @@ impl Mixture {
             values: vec![Vec::new(); names.len()],
             non_finite: NonFinite::default(),
             noise: None,
+            connections: Statistics::default(),
+            glints: Statistics::default(),
             cancelled: false,
         };
         let mut stream = 0;
@@ -331,6 +334,8 @@ impl Mixture {
                 let part = e.backward_f32(&own, theta, &active, &weighted)?;
                 out.cancelled |= part.cancelled;
                 out.non_finite.merge(&part.non_finite);
+                out.connections.merge(&part.connections);
+                out.glints.merge(&part.glints);
                 for (&i, values) in places.iter().zip(part.values) {
                     if out.values[i].is_empty() {
                         out.values[i] = values

@@ -419,7 +419,8 @@ pub trait Emitter: Send + Sync {
         false
     }
 
-    /// Whether scattered directions find it without help: nothing in it is small.
+    /// Whether scattered directions find it without help: its light, were it the same everywhere, would cover a fraction
+    /// [`WIDE`] of the sphere, by its squared mean over the mean of its square.
     fn is_wide(&self) -> bool {
         false
     }
@@ -505,6 +506,9 @@ fn scale_given(node: &Node) -> Result<f64, SceneError> {
     }
     Ok(scale)
 }
+
+/// Smallest fraction of the sphere that a wide light covers.
+pub const WIDE: f64 = 0.01;
 
 /// Valid factors on all that is emitted.
 const SCALES: (f64, f64) = (0.0, f64::INFINITY);

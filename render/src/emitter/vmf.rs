@@ -5,7 +5,7 @@ use std::f64::consts::PI;
 use ad_core::{Const, Float, Real, Vec2, Vec3};
 
 use super::point::constant_colour;
-use super::{Emission, Emitter, EmitterSample, Lights};
+use super::{Emission, Emitter, EmitterSample, Lights, WIDE};
 use crate::error::SceneError;
 use crate::math::{Frame, warp};
 use crate::motion::Placement;
@@ -130,7 +130,7 @@ impl Emitter for Vmf {
     }
 
     fn is_wide(&self) -> bool {
-        self.kappa <= 100.0
+        1.0 / self.kappa >= WIDE
     }
 }
 

@@ -259,10 +259,14 @@ fn double<R: Real>(theta: &Theta<R>) -> Vec<f64> {
 
 /// Where connections of a pass are sought.
 fn space<'a, R: Real>(pass: &Pass<'a, R>, values: &'a [f64]) -> Option<Space<'a>> {
+    let Connections {
+        constraint, steps, ..
+    } = pass.settings.connections?;
     Some(Space {
         scene: pass.scene,
         theta: Theta::constant(values),
-        constraint: pass.settings.connections?.constraint,
+        constraint,
+        steps,
     })
 }
 
@@ -507,6 +511,7 @@ pub(super) fn gradient<P: Float, X: Sampler>(
             path: PathRecord::default(),
             connected: Vec::new(),
         };
+        let mut came_to = Statistics::default();
         for tile in tiles.iter().skip(job).step_by(jobs) {
             for (_, sample) in tile.samples::<P, X>(scene, points, seed, &pass.samples) {
                 if pass.progress.cancelled() {
@@ -517,6 +522,7 @@ pub(super) fn gradient<P: Float, X: Sampler>(
                 recording.connected.clear();
                 start::<P, Scattering, X>(scene, points, seed, sample.pixel, sample.index)
                     .finish(&context, &mut recording);
+                came_to.merge(&recording.connecting.came_to);
                 let d = sample.of_image::<P>(adjoint, scene) * P::of(sample.scale());
                 let mut l = Rgb::black();
                 for path in recording.connected.drain(..) {
@@ -529,7 +535,10 @@ pub(super) fn gradient<P: Float, X: Sampler>(
             }
             pass.progress.advance(tile.pixels() as u64);
         }
-        (sink.into_small(), non_finite)
+        ((sink.into_small(), non_finite), came_to)
     });
-    sums.with_parts(parts)
+    let (parts, came_to): (Vec<_>, Vec<_>) = parts.into_iter().unzip();
+    let mut sums = sums.with_parts(parts);
+    came_to.iter().for_each(|s| sums.connections.merge(s));
+    sums
 }

@@ -241,7 +241,10 @@ pub(super) fn gradient<P: Float, X: Sampler>(
             }
             pass.progress.advance(tile.pixels() as u64);
         }
-        (sink.into_small(), non_finite)
+        ((sink.into_small(), non_finite), seeking.came_to)
     });
-    sums.with_parts(parts)
+    let (parts, came_to): (Vec<_>, Vec<_>) = parts.into_iter().unzip();
+    let mut sums = sums.with_parts(parts);
+    came_to.iter().for_each(|s| sums.glints.merge(s));
+    sums
 }

@@ -136,6 +136,15 @@ pub(super) fn check<'a, S: Strategy>(
     (SOLVED.iter()).try_for_each(|solved| solved.check::<S>(scene, settings, moving.clone()))
 }
 
+/// Whether light that is found by solving equations, over chains and in glints, stays where it is when a parameter changes, so
+/// that it has a derivative in it, by whatever estimator.
+///
+/// # Errors
+/// Names the parameter, and what it moves.
+pub fn stays(settings: &Settings, info: &ParamInfo) -> Result<(), RenderError> {
+    (SOLVED.iter()).try_for_each(|solved| solved.check_stays(settings, info))
+}
+
 /// Asks every integral whether a pass over paths alone has all light that the settings ask for; `whose`: what it computes.
 ///
 /// # Errors

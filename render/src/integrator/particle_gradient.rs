@@ -264,7 +264,7 @@ impl<'a, P: Float> ParticlePass<'a, P> {
             let sums = GradientSums {
                 small: sink.into_small(),
                 non_finite,
-                noise: None,
+                ..GradientSums::zero(active)
             };
             (sums, value)
         });

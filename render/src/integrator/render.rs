@@ -2,6 +2,7 @@
 
 use ad_core::Real;
 
+pub use super::integrals::stays;
 use super::integrals::{Wanted, check, every};
 use super::job::Job;
 use super::pass::{Integral, Pass, Question};
@@ -33,6 +34,7 @@ pub fn render<R: Components, S: Unbiased, X: Sampler>(
         let moves = |info: &&ParamInfo| theta.moves(scene.params().handle(info));
         let moving = scene.params().infos().iter().filter(moves);
         for info in moving.clone() {
+            stays(job.settings, info)?;
             estimator::check_parameter::<S>(info)?;
             scene.admits_motion::<S>(info)?;
             scene.admits_outlines::<S>(info, job.settings.max_depth)?;

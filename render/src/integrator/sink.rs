@@ -10,6 +10,7 @@ use super::record::SumSink;
 use super::rendering::NonFinite;
 use super::tile::{Sample, place};
 use crate::error::RenderError;
+use crate::manifold::Statistics;
 use crate::params::{GradSink, ParamRef, Theta};
 use crate::scene::Scene;
 
@@ -22,6 +23,10 @@ pub struct Gradient {
     pub non_finite: NonFinite,
     /// How noisy the derivatives are, if that is asked for ([`Active::with_noise`]).
     pub noise: Option<Noise>,
+    /// What manifold connections came to.
+    pub connections: Statistics,
+    /// What walks to glints came to.
+    pub glints: Statistics,
     /// Whether it was stopped early; the sums are then incomplete.
     pub cancelled: bool,
 }
@@ -132,6 +137,10 @@ pub(super) struct GradientSums {
     pub non_finite: NonFinite,
     /// As [`Gradient::noise`].
     pub noise: Option<Noise>,
+    /// As [`Gradient::connections`].
+    pub connections: Statistics,
+    /// As [`Gradient::glints`].
+    pub glints: Statistics,
 }
 
 impl GradientSums {
@@ -141,17 +150,16 @@ impl GradientSums {
             small: vec![0.0; active.small_len],
             non_finite: NonFinite::default(),
             noise: None,
+            connections: Statistics::default(),
+            glints: Statistics::default(),
         }
     }
 
     /// These, and what jobs have added up, in their order.
     pub fn with_parts(mut self, parts: Vec<(Vec<f64>, NonFinite)>) -> Self {
         for (small, non_finite) in parts {
-            self.merge(Self {
-                small,
-                non_finite,
-                noise: None,
-            });
+            add(&mut self.small, &small);
+            self.non_finite.merge(&non_finite);
         }
         self
     }
@@ -161,6 +169,8 @@ impl GradientSums {
         add(&mut self.small, &other.small);
         self.non_finite.merge(&other.non_finite);
         self.noise = self.noise.take().or(other.noise);
+        self.connections.merge(&other.connections);
+        self.glints.merge(&other.glints);
     }
 }
 
@@ -177,6 +187,8 @@ pub(super) fn collect(
         small,
         non_finite,
         noise,
+        connections,
+        glints,
     } = pass(&large);
     let read = |slot, len| match slot {
         Slot::Inactive => Vec::new(),
@@ -205,6 +217,8 @@ pub(super) fn collect(
         values,
         non_finite,
         noise,
+        connections,
+        glints,
         cancelled: progress.cancelled(),
     }
 }

@@ -31,41 +31,43 @@ impl Solved {
         settings: &Settings,
         moving: impl IntoIterator<Item = &'a ParamInfo>,
     ) -> Result<(), RenderError> {
-        let &Self {
-            these,
-            option,
-            error,
-            is_sought,
-            admits,
-        } = self;
-        if !is_sought(settings) {
+        if !(self.is_sought)(settings) {
             return Ok(());
         }
-        admits(scene, settings)?;
+        (self.admits)(scene, settings)?;
         if !S::Bsdf::DETACHED_PATH {
-            return Err(error(format!(
-                "whole paths that move have none; expected another estimator, or `{option}`"
+            return Err((self.error)(format!(
+                "whole paths that move have none; expected another estimator, or `{}`",
+                self.option
             )));
         }
-        for info in moving {
-            match info.kind {
-                ParamKind::Smooth
-                | ParamKind::Emission
-                | ParamKind::Roughness
-                | ParamKind::Normals => {}
-                ParamKind::Delta
-                | ParamKind::Position
-                | ParamKind::VertexNormals
-                | ParamKind::Camera
-                | ParamKind::LightPosition => {
-                    let name = &info.name;
-                    return Err(error(format!(
-                        "parameter `{name}` moves {these}, which have derivatives only where they stay; expected `{option}`"
-                    )));
-                }
+        (moving.into_iter()).try_for_each(|info| self.check_stays(settings, info))
+    }
+
+    /// Refuses a parameter that moves something.
+    ///
+    /// # Errors
+    /// Names it. None where nobody asks for such light.
+    pub fn check_stays(&self, settings: &Settings, info: &ParamInfo) -> Result<(), RenderError> {
+        if !(self.is_sought)(settings) {
+            return Ok(());
+        }
+        match info.kind {
+            ParamKind::Smooth | ParamKind::Emission | ParamKind::Roughness | ParamKind::Normals => {
+                Ok(())
+            }
+            ParamKind::Delta
+            | ParamKind::Position
+            | ParamKind::VertexNormals
+            | ParamKind::Camera
+            | ParamKind::LightPosition => {
+                let (name, these, option) = (&info.name, self.these, self.option);
+                Err((self.error)(format!(
+                    "parameter `{name}` moves {these}, which have derivatives only where they stay; expected `{option}`, and an \
+                     estimator that sees it"
+                )))
             }
         }
-        Ok(())
     }
 
     /// Refuses it in a pass over paths alone; `whose`: what that computes.

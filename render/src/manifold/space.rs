@@ -3,7 +3,7 @@
 use ad_core::Vec3;
 
 use crate::params::Theta;
-use crate::scene::{Constraint, Scene};
+use crate::scene::{Constraint, Scene, Steps};
 use crate::shape::{Exit, SurfaceInteraction};
 
 /// Where connections are sought.
@@ -15,6 +15,8 @@ pub struct Space<'a> {
     pub theta: Theta<'a, f64>,
     /// The function whose roots are chains.
     pub constraint: Constraint,
+    /// How walks step.
+    pub steps: Steps,
 }
 
 /// The vertex that a chain starts at, which is not specular.

@@ -2,7 +2,7 @@
 
 use crate::bsdf::nesting::{Specular, facets};
 use crate::bsdf::{DeltaKind, Material};
-use crate::emitter::Emitter;
+use crate::emitter::{AnyEmitter, Emitter};
 use crate::error::RenderError;
 use crate::params::Theta;
 use crate::scene::{CasterLight, Connections, Hints, Method, Scene, Seen};
@@ -53,7 +53,7 @@ impl Run {
 /// *Casters* are shapes of metal or glass that are smooth or no rougher than [`Connections::roughness`], *receivers* all others
 /// that scatter along more than deltas; the *emitters* are all but those so wide that scattered directions find them better
 /// ([`Emitter::is_wide`]). Where the flags of a scene file name any of a kind, only these are ([`Hints`]), and casters may
-/// then be as rough as they like. Curves and what is bump-mapped are no casters: the light that they throw is found by paths.
+/// then be as rough, and emitters as wide, as they like. Curves and what is bump-mapped are no casters: the light that they throw is found by paths.
 /// Roughness is that of the scene as it is now, whatever derivatives are taken in.
 #[derive(Clone, Debug)]
 pub struct Split {
@@ -130,9 +130,10 @@ impl Split {
             .any(|(i, casts)| *casts && alpha[i as usize].is_some_and(|alpha| alpha > 0.0));
         let scatters = (shapes.zip(&casters)).map(|(i, casts)| !casts && !info(i).delta);
         let receivers = chosen(scatters.collect(), |i| info(i as u32).hints.receiver);
-        let narrow = (scene.emitters().iter()).map(|e| !e.is_wide() && !e.is_beam());
         let named = |i: usize| takes_part(scene.emitter_hints()[i]);
-        let emitters = chosen(narrow.collect(), named);
+        let connected = |(i, e): (usize, &AnyEmitter)| !e.is_beam() && (named(i) || !e.is_wide());
+        let able = (scene.emitters().iter().enumerate()).map(connected);
+        let emitters = chosen(able.collect(), named);
         let shining = chosen(vec![true; emitters.len()], named);
         let (caster_list, emitter_list) = (list(&casters), list(&emitters));
         let chains = !emitter_list.is_empty() && receivers.contains(&true);

@@ -8,12 +8,10 @@ use super::constraint::{self, equator};
 use super::space::{Space, Start, Target};
 use crate::accel::Hit;
 use crate::math::{Frame, Ray, both};
-use crate::scene::{Connections, Uniqueness};
+use crate::scene::{Steps, Uniqueness};
 
-/// A walk has ended when no component of the last constraint exceeds this, radians.
-const TOLERANCE: f64 = 1e-9;
-/// It has ended before, with no more than this, if the last step was a whole one and left so small a part: of Newton's
-/// method there, which squares what is left, that is nearly sure.
+/// A walk has ended before its tolerance, with no more than this, if the last step was Newton's whole one and left so small a
+/// part: of Newton's method there, which squares what is left, that is nearly sure.
 const NEAR: f64 = 1e-5;
 const CONTRACTION: f64 = 1e-2;
 /// Most further steps, which bring it to rounding.
@@ -270,12 +268,17 @@ impl<'w> Way<'w> {
         d: Vec3<f64>,
         tried: &mut u32,
     ) -> Option<(Point, Mat2<f64>, Vec2<f64>, bool)> {
+        let Steps {
+            most,
+            scale,
+            tolerance,
+        } = self.space.steps;
         let mut here = self.point(d, &mut Hits::new())?;
         let (mut part, mut certain) = (1.0, false);
-        for _ in 0..Connections::MOST_STEPS {
+        for _ in 0..most {
             let inverse = here.jacobian.inverse()?;
             let step = inverse * here.value;
-            if size(here.value) <= TOLERANCE || certain {
+            if size(here.value) <= tolerance || certain {
                 return Some((here, inverse, step, certain));
             }
             // A part of the step that leaves less.
@@ -283,7 +286,7 @@ impl<'w> Way<'w> {
             let mut likely = part == 1.0;
             here = loop {
                 *tried += 1;
-                let d = here.moved(self.start.si.p, step * -part);
+                let d = here.moved(self.start.si.p, step * -(part * scale));
                 if let Some(next) = self.less(d, before, likely) {
                     break next;
                 }
@@ -294,7 +297,7 @@ impl<'w> Way<'w> {
                 }
             };
             let left = length(here.value);
-            certain = part == 1.0 && left <= NEAR && left <= CONTRACTION * before;
+            certain = part * scale == 1.0 && left <= NEAR && left <= CONTRACTION * before;
             part = (2.0 * part).min(1.0);
         }
         None
@@ -306,7 +309,7 @@ impl Space<'_> {
     ///
     /// The unknown is the direction from the start; the vertices are traced, so that all constraints but the last hold, and
     /// the step is that of the whole block-tridiagonal system. It is halved while the ray
-    /// misses, meets another shape, or leaves the last constraint larger than it was. At most 20 steps.
+    /// misses, meets another shape, or leaves the last constraint larger than it was ([`Steps`]).
     ///
     /// # Source
     /// [Zeltner 2021, Eq. 3.11]; step control and tolerances are ours (errata Z-3.11).

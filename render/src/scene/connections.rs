@@ -23,6 +23,29 @@ pub struct Connections {
     pub budget: u32,
     /// Which of the light over casters there is.
     pub light: CasterLight,
+    /// How walks step, and where they end.
+    pub steps: Steps,
+}
+
+/// How walks step, and where they end: Newton's method, whose step is halved while it leaves a larger constraint.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Steps {
+    /// Most steps of a walk.
+    pub most: u32,
+    /// The part of Newton's step that is tried first.
+    pub scale: f64,
+    /// A walk has ended when no component of the last constraint exceeds this. What it found is brought to rounding from there.
+    pub tolerance: f64,
+}
+
+impl Default for Steps {
+    fn default() -> Self {
+        Self {
+            most: 20,
+            scale: 1.0,
+            tolerance: 1e-9,
+        }
+    }
 }
 
 /// Which estimator.
@@ -126,8 +149,6 @@ impl Connections {
     /// Most trials of an estimate, by default: of solutions that one walk in 10 000 finds, it loses 0.2 %, and what no walk finds
     /// again costs about a second.
     pub const BUDGET: u32 = 1 << 16;
-    /// Most steps of a walk.
-    pub const MOST_STEPS: u32 = 20;
     /// Largest trial set.
     pub const MOST_WALKS: u32 = 1 << 20;
     /// Size of a trial set by default [Zeltner 2021, figure 3.13].
@@ -145,6 +166,7 @@ impl Connections {
             by_pixel: false,
             budget: Self::BUDGET,
             light: CasterLight::default(),
+            steps: Steps::default(),
         }
     }
 }

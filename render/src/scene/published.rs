@@ -9,14 +9,15 @@
 //! | `twostage` | `path_sms_ss`, `_ms` | where walks start, of random ones; particles if it is not there |
 //! | `halfvector_constraints` | `path_sms_ss`, `_ms` | the constraint |
 //! | `uniqueness_threshold` | `path_sms_*` | the published rule; bounds of errors if it is not there |
-//! | `max_iterations` | `path_sms_glints` | most steps of a walk |
+//! | `max_iterations` | `path_sms_*` | most steps of a walk |
+//! | `step_scale`, `solver_threshold` | `path_sms_ss`, `_ms` | the part of Newton's step that is tried first, where walks end |
 //! | `bsdf_strategy_only`, `sms_strategy_only` | `path_sms_glints` | who finds glints |
 //!
 //! All others are warned of, with what is done instead, or are not known.
 
 use super::{
     CasterLight, Connections, Constraint, GlintMethod, GlintTechniques, Glints, Method, Seen,
-    Starts, Uniqueness,
+    Starts, Steps, Uniqueness,
 };
 use crate::error::SceneError;
 use crate::plugin::Node;
@@ -89,27 +90,37 @@ pub(super) fn connections(node: &Node) -> Result<Connections, SceneError> {
         }
         None => Uniqueness::default(),
     };
-    if node.float_or("step_scale", 1.0)? != 1.0 {
-        node.warn(STEPS);
-    }
-    if node.integer_or("max_iterations", i64::from(Connections::MOST_STEPS))?
-        != i64::from(Connections::MOST_STEPS)
-    {
-        let steps = Connections::MOST_STEPS;
-        node.warn(format!(
-            "`max_iterations`: walks take at most {steps} steps"
-        ));
-    }
-    if node.float("solver_threshold")?.is_some() {
-        node.warn(ENDS);
-    }
     Ok(Connections {
         method,
         constraint,
         uniqueness,
         starts,
+        steps: steps(node)?,
         budget: trials.unwrap_or(family.budget),
         ..family
+    })
+}
+
+/// `max_iterations`: most steps of a walk.
+fn iterations(node: &Node, default: u32) -> Result<u32, SceneError> {
+    Ok(node.integer_in("max_iterations", i64::from(default), 1..=1000)? as u32)
+}
+
+/// How walks step.
+fn steps(node: &Node) -> Result<Steps, SceneError> {
+    let usual = Steps::default();
+    let scale = node.float_or("step_scale", usual.scale)?;
+    if !(scale > 0.0 && scale < 2.0) {
+        return Err(node.invalid("step_scale", "a positive number below 2"));
+    }
+    let tolerance = node.float_or("solver_threshold", usual.tolerance)?;
+    if !(tolerance > 0.0 && tolerance.is_finite()) {
+        return Err(node.invalid("solver_threshold", "a positive number"));
+    }
+    Ok(Steps {
+        most: iterations(node, usual.most)?,
+        scale,
+        tolerance,
     })
 }
 
@@ -191,7 +202,7 @@ pub(super) fn glints(node: &Node) -> Result<Glints, SceneError> {
     };
     let threshold = threshold(node)?;
     let published = Glints::published(method);
-    let steps = node.integer_in("max_iterations", i64::from(published.steps), 1..=1000)? as u32;
+    let steps = iterations(node, published.steps)?;
     if node.float_or("step_scale", 1.0)? != 1.0 {
         node.warn(STEPS);
     }

@@ -6,7 +6,7 @@ use ad_core::Vec3;
 use render::manifold::{Space, Split, Start};
 use render::math::Ray;
 use render::params::Theta;
-use render::scene::{Connections, Constraint, LoadOptions};
+use render::scene::{Connections, Constraint, LoadOptions, Steps};
 use render::{Scene, Settings};
 
 use examples::figure::Result;
@@ -94,6 +94,7 @@ impl Laboratory {
             scene: &self.scene,
             theta: Theta::constant(&self.values),
             constraint,
+            steps: Steps::default(),
         }
     }
 

@@ -11,7 +11,7 @@ use serde::Serialize;
 use super::job::OptimizerArg;
 use super::{Checkpoint, PANELS, PICTURE_SPP, Recovery, Row, SAVED, is_complete};
 use crate::chart::LineChart;
-use crate::cli::ToolError;
+use crate::cli::{SolvedReport, ToolError};
 use crate::output;
 use crate::progress::Interrupt;
 use crate::{complain, say};
@@ -177,6 +177,7 @@ impl Recovery {
             final_loss: state.history.last().map(|r| r.loss),
             params,
             folded: self.folds(),
+            solved: self.walks.report(&self.problem.settings),
         };
         output::write_json(&out.join("result.json"), &report)?;
         say!("{}: pictures, charts and values", out.display());
@@ -207,6 +208,9 @@ struct Report {
     /// Triangles that are turned over, by mesh.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     folded: BTreeMap<String, usize>,
+    /// What walks to solutions came to, since the run was started or resumed.
+    #[serde(flatten)]
+    solved: SolvedReport,
 }
 
 /// Largest relative error of any value.

@@ -150,8 +150,8 @@ fn blocks(image: &[f32], scene: &Scene) -> Vec<f64> {
 }
 
 impl Energy {
-    /// Says so.
-    pub fn say(&self) {
+    /// Says so; `unbiased`: whether connections are.
+    pub fn say(&self, unbiased: bool) {
         let Self {
             worst_z,
             limit_z,
@@ -170,9 +170,14 @@ impl Energy {
         );
         if worst_z > limit_z {
             let less = if ratio < 1.0 { "less" } else { "more" };
+            let why = if unbiased {
+                "connections are unbiased, so rare samples carry much of the light, as near focal points; more by --spp"
+            } else {
+                "a biased method, options that merge solutions, or trials that ran out"
+            };
             complain!(
                 "warning: manifold check: {less} light than by particles, worst in column {x}, row {y} of {BLOCKS} x {BLOCKS} \
-                 blocks: a biased method, or options that merge solutions"
+                 blocks: {why}"
             );
         }
     }

@@ -11,7 +11,7 @@ use ad_core::{Const, Float, Real, Vec2, Vec3};
 
 pub(crate) use self::table::Local;
 use self::table::Table;
-use super::{Emission, Emitter, EmitterSample, Lights, SCALES, scale_given, scale_of};
+use super::{Emission, Emitter, EmitterSample, Lights, SCALES, WIDE, scale_given, scale_of};
 use crate::error::SceneError;
 use crate::film::Image;
 use crate::math::{Rgb, Transform, angle, each};
@@ -399,6 +399,10 @@ impl Emitter for Envmap {
 
     fn is_infinite(&self) -> bool {
         true
+    }
+
+    fn is_wide(&self) -> bool {
+        self.is_known() && self.table.cover_of_light() >= WIDE
     }
 
     fn update(&mut self, params: &Params) {

@@ -233,6 +233,25 @@ impl Table {
         (self.band_guide, self.cell_guides) = (band_guide, cell_guides);
     }
 
+    /// Fraction of the sphere that as much light would cover if it were the same everywhere: its squared mean over the mean
+    /// of its square. One for a black map.
+    pub fn cover_of_light(&self) -> f64 {
+        let mut squares = Sum::default();
+        for band in 0..self.bands() {
+            let share = self.cover(band) / self.width as f64;
+            for cell in 0..self.width {
+                squares.add(share * mean_square(self.corners(band, cell)));
+            }
+        }
+        // Without the uniform part, which is no light.
+        let uniform = if self.slope > 0.0 {
+            UNIFORM_FRACTION
+        } else {
+            0.0
+        };
+        (1.0 - uniform).powi(2) / (squares.value - uniform * (2.0 - uniform))
+    }
+
     /// Element `i` of [`Table::sums_of`] ones.
     #[inline]
     pub fn uniform_sum(&self, i: usize) -> f64 {
@@ -379,6 +398,14 @@ pub(super) fn mix<R: Real>([a, b]: [R; 2], x: R) -> R {
     a + (b - a) * x
 }
 
+/// Mean of the square of what is bilinear in a cell.
+fn mean_square([[a, b], [c, d]]: [[f64; 2]; 2]) -> f64 {
+    let upper = a * a + a * b + b * b;
+    let lower = c * c + c * d + d * d;
+    let across = a * c + b * d + 0.5 * (a * d + b * c);
+    (upper + lower + across) / 9.0
+}
+
 /// Fraction at which a density linear from `a` to `b` (positive) has accumulated the share `u`.
 #[inline(always)]
 fn sample_linear<R: Real>(u: R, a: R, b: R) -> R {
@@ -408,6 +435,29 @@ impl<R: Real> Sum<R> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Light that is the same everywhere covers everything, and so does none; what rises from the poles to the equator with
+    /// the height covers 3/4, and one bright texel less than its cells.
+    #[test]
+    fn light_covers_what_it_should() {
+        let cover = |luminance: &[f32], size: [usize; 2]| {
+            let mut table = Table::new(size[0], size[1]);
+            table.update(luminance);
+            table.cover_of_light()
+        };
+        for grey in [0.0, 1e-3, 7.0] {
+            assert!((cover(&[grey; 40], [8, 5]) - 1.0).abs() < 1e-5, "{grey}");
+        }
+        let [dark, bright] = [[0.0; 4], [2.0; 4]];
+        let rises = cover(&[dark, bright, dark].concat(), [4, 3]);
+        assert!((rises - 0.75).abs() < 1e-5, "{rises}");
+        let mut spot = vec![0.0; 64 * 33];
+        spot[16 * 64 + 20] = 1e6;
+        let found = cover(&spot, [64, 33]);
+        // A bilinear hat: its squared integral over that of its square is 9/4 of a cell.
+        let cell = (std::f64::consts::PI / 32.0).sin() / 2.0 / 64.0;
+        assert!((found / (2.25 * cell) - 1.0).abs() < 1e-2, "{found} {cell}");
+    }
 
     /// Searches that start from tables find what searches through everything do, on the borders of parts and of cells as
     /// well; for maps of many sizes, with rows and columns that are black.
