@@ -57,12 +57,8 @@ fn render_writes_image_picture_and_report() {
     assert!(mean("--max-depth 2")[1] < mean("--max-depth -1")[1]);
 }
 
-/// A ball of glass on a floor under a lamp: connections are reported, checked against particles, and their options refused where
-/// they would have no effect.
-#[test]
-fn manifold_connections_are_rendered_reported_and_checked() {
-    let dir = Folder::new();
-    let text = r#"<scene version="3.0.0"><integrator type="path"><integer name="max_depth" value="5"/></integrator>
+/// A ball of glass on a floor under a lamp.
+const GLASS_BALL: &str = r#"<scene version="3.0.0"><integrator type="path"><integer name="max_depth" value="5"/></integrator>
         <sensor type="perspective"><float name="fov" value="40"/>
         <transform name="to_world"><lookat origin="0, 3, 4" target="0, 0.2, 0" up="0, 1, 0"/></transform>
         <film type="hdrfilm"><integer name="width" value="16"/><integer name="height" value="12"/></film></sensor>
@@ -72,7 +68,32 @@ fn manifold_connections_are_rendered_reported_and_checked() {
         <bsdf type="dielectric" id="glass"/></shape>
         <shape type="rectangle"><transform name="to_world"><scale value="0.8"/><rotate x="1" angle="90"/><translate y="3"/>
         </transform><emitter type="area"/></shape></scene>"#;
-    std::fs::write(dir.path("ball.xml"), text).unwrap();
+
+/// That, with a bulb too, and both by integrators of others.
+fn glass_balls() -> Folder {
+    let dir = Folder::new();
+    let point = r#"<emitter type="point" id="bulb"><point name="position" value="0, 3, 0"/></emitter></scene>"#;
+    let bulb = GLASS_BALL.replace("</scene>", point);
+    let by = |text: &str, integrator: &str| text.replace(r#"<integrator type="path">"#, integrator);
+    let aimed = r#"<integrator type="path_sms_ss"><boolean name="mnee_init" value="true"/>"#;
+    for (name, text) in [
+        (
+            "filtered.xml",
+            by(GLASS_BALL, r#"<integrator type="path_filtered_ss">"#),
+        ),
+        ("aimed.xml", by(&bulb, aimed)),
+        ("ball.xml", GLASS_BALL.into()),
+        ("bulb.xml", bulb),
+    ] {
+        std::fs::write(dir.path(name), text).unwrap();
+    }
+    dir
+}
+
+/// Connections are reported, and checked against particles.
+#[test]
+fn manifold_connections_are_rendered_reported_and_checked() {
+    let dir = glass_balls();
     dir.ok(
         "render",
         "ball.xml --manifold sms --spp 32 --manifold-check --manifold-picture rates.exr --json sms.json",
@@ -112,8 +133,6 @@ fn manifold_connections_are_rendered_reported_and_checked() {
         both["paths_met"].as_u64() >= both["paths_counted"].as_u64(),
         "{both}"
     );
-    let point = r#"<emitter type="point" id="bulb"><point name="position" value="0, 3, 0"/></emitter></scene>"#;
-    std::fs::write(dir.path("bulb.xml"), text.replace("</scene>", point)).unwrap();
     dir.ok("render", "ball.xml --manifold off --spp 4 --json off.json");
     assert!(dir.json("off.json").get("manifold").is_none());
     // Chains that are named are left out: the rest of the image, which both halves have.
@@ -126,13 +145,6 @@ fn manifold_connections_are_rendered_reported_and_checked() {
     assert_eq!(dir.json("rest.json")["manifold"]["method"], "left out");
     assert!(rest < off, "{rest} {off}");
     // Integrators of scene files that keep some of the light over casters say so.
-    let with = |name: &str, of: &str, integrator: &str| {
-        let text = std::fs::read_to_string(dir.path(of)).unwrap();
-        let text = text.replace(r#"<integrator type="path">"#, integrator);
-        std::fs::write(dir.path(name), text).unwrap();
-    };
-    let filtered = r#"<integrator type="path_filtered_ss">"#;
-    with("filtered.xml", "ball.xml", filtered);
     let filtered = mean("filtered.xml --spp 32 -o x.exr --json filtered.json");
     let report = &dir.json("filtered.json")["manifold"];
     assert_eq!(
@@ -142,7 +154,7 @@ fn manifold_connections_are_rendered_reported_and_checked() {
     assert!(filtered < off, "{filtered} {off}");
     // What is flagged and cannot be a caster is named.
     let flag = r#"<bsdf type="plastic"/><boolean name="caustic_caster_single" value="true"/>"#;
-    let plastic = text.replace(r#"<bsdf type="dielectric" id="glass"/>"#, flag);
+    let plastic = GLASS_BALL.replace(r#"<bsdf type="dielectric" id="glass"/>"#, flag);
     std::fs::write(
         dir.path("plastic.xml"),
         plastic.replace("\"sphere\"", "\"sphere\" id=\"lump\""),
@@ -154,8 +166,12 @@ fn manifold_connections_are_rendered_reported_and_checked() {
         output.status.success() && message.contains("`lump`: flagged as a caster"),
         "{message}"
     );
-    let aimed = r#"<integrator type="path_sms_ss"><boolean name="mnee_init" value="true"/>"#;
-    with("aimed.xml", "bulb.xml", aimed);
+}
+
+/// Options of connections are refused where they would have no effect, and parameters that move chains.
+#[test]
+fn manifold_options_without_effect_are_refused() {
+    let dir = glass_balls();
     for (args, expected) in [
         ("ball.xml --trials 4", "--manifold"),
         (
