@@ -42,8 +42,8 @@ pub fn normals_pair<P: Float, X: Sampler>(
     pair.into_iter().flatten()
 }
 
-/// Weight of a sampled light for the change of normals, as [`per_density`]: scattered directions compete with the density of
-/// its own samples.
+/// Weight of a sampled light for the change of normals, as [`super::light::per_density`]: scattered directions compete with
+/// the density of its own samples.
 #[inline(always)]
 pub fn normals_weight<S: Strategy, P: Float>(
     material: &Material,
