@@ -19,13 +19,17 @@ pub fn figure(fig: &mut Figure) -> Result {
     setup.problem.set(&START)?;
     let spp = fig.pick(128, 512);
     let before = picture(&setup.problem.scene, spp, TARGET_SEED + 1);
-    let mut adam = bounded(Adam::new(3, 0.04)?)?;
-    let (path, bad) = descend(&mut setup.problem, &mut adam, STEPS, 0.02)?;
+    let mut adam = bounded(Adam::new(3, 0.05)?)?;
+    let (path, bad) = descend(&mut setup.problem, &mut adam, STEPS, 0.1)?;
     let (found, _) = path.last().ok_or("no steps")?;
     let e = error(found, &setup.truth);
+    let most = fig.pick(0.03, 0.01);
     fig.check(
-        "the round trip recovers the albedo to 1 % in fewer than 100 Adam steps",
-        e < 0.01 && STEPS < 100 && bad == 0,
+        format!(
+            "the round trip recovers the albedo to {:.0} % in fewer than 100 Adam steps",
+            100.0 * most
+        ),
+        e < most && STEPS < 100 && bad == 0,
         format!(
             "{STEPS} steps: {found:.4?}, truth {:.4?}, largest relative error {:.2} %",
             setup.truth,
