@@ -236,18 +236,7 @@ fn manifold_options_without_effect_are_refused() {
 /// biased.
 #[test]
 fn derivatives_say_what_walks_came_to() {
-    let dir = Folder::new();
-    let text = r#"<scene version="3.0.0"><integrator type="path"><integer name="max_depth" value="5"/></integrator>
-        <sensor type="perspective"><float name="fov" value="40"/>
-        <transform name="to_world"><lookat origin="0, 3, 4" target="0, 0.2, 0" up="0, 1, 0"/></transform>
-        <film type="hdrfilm"><integer name="width" value="8"/><integer name="height" value="8"/></film></sensor>
-        <shape type="rectangle"><bsdf type="diffuse" id="floor"/>
-        <transform name="to_world"><scale value="4"/><rotate x="1" angle="-90"/></transform></shape>
-        <shape type="sphere"><point name="center" value="0, 0.9, 0"/><float name="radius" value="0.7"/>
-        <bsdf type="dielectric" id="glass"/></shape>
-        <shape type="rectangle"><transform name="to_world"><scale value="0.8"/><rotate x="1" angle="90"/><translate y="3"/>
-        </transform><emitter type="area"/></shape></scene>"#;
-    std::fs::write(dir.path("ball.xml"), text).unwrap();
+    let dir = glass_balls();
     let param = "--param floor.reflectance.value";
     dir.ok("render", "ball.xml --spp 4 -o photo.exr");
     for (tool, args, report) in [

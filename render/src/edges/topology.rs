@@ -334,13 +334,9 @@ fn seam(corners: &[Corner], side: u8) -> f64 {
 /// Whether a face is no wider than its corners are rounded: rays hardly meet it, and its plane is chance.
 fn is_needle(corners: &[Corner]) -> bool {
     let [a, b, c] = [0, 1, 2].map(|k| lift3::<f64>(corners[k].at));
-    let longest = [b - a, c - b, a - c].map(|side| side.length());
-    let longest = longest.into_iter().fold(0.0, f64::max);
-    let rounding = [a, b, c]
-        .map(|p| p.max_abs())
-        .into_iter()
-        .fold(0.0, f64::max)
-        * NEEDLE;
+    let largest = |of: [f64; 3]| of.into_iter().fold(0.0, f64::max);
+    let rounding = NEEDLE * largest([a, b, c].map(|p| p.max_abs()));
+    let longest = largest([b - a, c - b, a - c].map(|side| side.length()));
     (b - a).cross(c - a).length() <= rounding * longest
 }
 

@@ -152,7 +152,8 @@ impl NormalEquations {
 /// not on the number of threads.
 ///
 /// # Errors
-/// Values or images of the wrong size, more than [`MAX_VALUES`] values, fewer than two samples, or parameters that move something.
+/// Values or images of the wrong size, more than [`MAX_VALUES`] values, fewer than two samples, or parameters that move
+/// something.
 pub fn gauss_newton<P: Float, X: Sampler>(
     job: &Job,
     theta: &Theta<P>,

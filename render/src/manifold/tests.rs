@@ -14,6 +14,7 @@ use crate::sampler::{Independent, Sampler};
 use crate::scene::{
     Connections, Constraint, LoadOptions, Method, Scene, Starts, Steps, Uniqueness,
 };
+use crate::statistics::{Estimate, z_limit};
 
 fn scene(body: &str) -> Scene {
     let sensor = r#"<sensor type="perspective"><float name="fov" value="40"/>
@@ -47,6 +48,12 @@ fn over_floor(glass: &str) -> Scene {
 }
 
 const GLASS: &str = r#"<bsdf type="dielectric"><float name="int_ior" value="1.5"/><float name="ext_ior" value="1"/></bsdf>"#;
+
+fn glass_ball() -> String {
+    format!(
+        r#"<shape type="sphere"><point name="center" value="0, 3, 0"/><float name="radius" value="2"/>{GLASS}</shape>"#
+    )
+}
 
 struct Setting {
     scene: Scene,
@@ -146,9 +153,7 @@ fn the_ring_has_three_solutions() {
 /// mirrored cylinder, into a ball of glass and through one, with one, one and two vertices.
 #[test]
 fn geometric_terms_are_those_of_moved_targets() {
-    let ball = format!(
-        r#"<shape type="sphere"><point name="center" value="0, 3, 0"/><float name="radius" value="2"/>{GLASS}</shape>"#
-    );
+    let ball = glass_ball();
     let through = Vec3::new(1.0, 20.0, 0.5);
     let cases = [
         (
@@ -211,10 +216,7 @@ fn geometric_terms_are_those_of_moved_targets() {
 /// it, as large (errata Z-3.9). So it is with flat and with curved glass.
 #[test]
 fn the_two_anchors_differ_by_squared_indices() {
-    let ball = format!(
-        r#"<shape type="sphere"><point name="center" value="0, 3, 0"/><float name="radius" value="2"/>{GLASS}</shape>"#
-    );
-    let setting = Setting::new(over_floor(&ball));
+    let setting = Setting::new(over_floor(&glass_ball()));
     let space = setting.space(Constraint::Angle);
     let start = setting.floor(0.4, 0.3);
     let inside = Vec3::new(0.2, 3.5, -0.3);
@@ -277,16 +279,10 @@ fn geometric_terms_of_flat_water_have_a_closed_form() {
     assert!((there / back - 0.56532).abs() < 1e-5, "{there} {back}");
 }
 
-/// Mean, and its standard error.
-fn moments(sums: [f64; 2], n: f64) -> [f64; 2] {
-    let mean = sums[0] / n;
-    [mean, ((sums[1] / n - mean * mean) / n).sqrt()]
-}
-
 /// A mirror with several solutions, the ring with a bulb in place of its lamp. Connections are worth the sum of them, whatever their
-/// probabilities, and take as many trials as there are solutions, since each that is found with the probability P takes 1 / P; of the distinct ones among
-/// four walks those of `1 - (1 - P)^4` are there. 100 000 walks for the probabilities and as many connections of each kind, five
-/// standard errors; what is not counted at all would be noticed.
+/// probabilities, and take as many trials as there are solutions, since each that is found with the probability P takes 1 / P; of
+/// the distinct ones among four walks those of `1 - (1 - P)^4` are there. 100 000 walks for the probabilities and as many connections
+/// of each kind, significance 1e-3 over all three; what is not counted at all would be noticed.
 #[test]
 #[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn connections_are_worth_all_solutions_of_a_mirror() {
@@ -324,7 +320,7 @@ fn connections_are_worth_all_solutions_of_a_mirror() {
     let mut seen = vec![false; known.len()];
     let mut run = |method: Method| {
         let connector = connector(method);
-        let (mut light, mut trials) = ([0.0; 2], [0.0; 2]);
+        let (mut light, mut trials) = (Vec::new(), Vec::new());
         for i in 0..N {
             let mut out = Vec::new();
             let mut rng = Independent::new(7, 0, i);
@@ -333,14 +329,10 @@ fn connections_are_worth_all_solutions_of_a_mirror() {
                 let of = |k: &Solution| (k.direction() - connection.direction).length() < 1e-6;
                 seen[known.iter().position(of).expect("a known solution")] = true;
             }
-            let add = |sums: &mut [f64; 2], x: f64| {
-                sums[0] += x;
-                sums[1] += x * x;
-            };
-            add(&mut light, out.iter().map(|c| c.weight).sum());
-            add(&mut trials, s.trials as f64);
+            light.push(out.iter().map(|c| c.weight).sum());
+            trials.push(s.trials as f64);
         }
-        [light, trials].map(|sums| moments(sums, N as f64))
+        [light, trials].map(|found| Estimate::of(&found))
     };
     let [light, trials] = run(Method::Sms);
     let [few, _] = run(Method::SmsBiased(4));
@@ -358,16 +350,22 @@ fn connections_are_worth_all_solutions_of_a_mirror() {
     let doubt: f64 = each.iter().map(doubt).sum();
     println!("{each:?}: light {light:?} of {all}, {few:?} of {expected}, trials {trials:?}");
     assert!(each.len() > 1, "{each:?}");
-    let near = |[mean, se]: [f64; 2], x: f64| (mean - x).abs() < 5.0 * se;
-    assert!(near(light, all), "{light:?} {all}");
-    assert!(near(trials, each.len() as f64), "{trials:?}");
-    assert!(
-        near([few[0], few[1].hypot(doubt.sqrt())], expected),
-        "{few:?} {expected}"
-    );
+    let limit = z_limit(3, N, 1e-3);
+    let expected = Estimate {
+        mean: expected,
+        se: doubt.sqrt(),
+    };
+    let count = Estimate::exact(each.len() as f64);
+    for (found, expected) in [
+        (light, Estimate::exact(all)),
+        (trials, count),
+        (few, expected),
+    ] {
+        assert!(found.z(&expected).abs() < limit, "{found:?} {expected:?}");
+    }
     let least = each.iter().map(|(f, _)| *f).fold(f64::INFINITY, f64::min);
     assert!(
-        least > 20.0 * light[1] && all - expected > 20.0 * few[1],
+        least > 20.0 * light.se && all - expected.mean > 20.0 * few.se,
         "{light:?} {few:?}"
     );
 }
@@ -376,10 +374,7 @@ fn connections_are_worth_all_solutions_of_a_mirror() {
 /// on random chains of two vertices through glass.
 #[test]
 fn elimination_is_the_block_tridiagonal_solution() {
-    let ball = format!(
-        r#"<shape type="sphere"><point name="center" value="0, 3, 0"/><float name="radius" value="2"/>{GLASS}</shape>"#
-    );
-    let setting = Setting::new(over_floor(&ball));
+    let setting = Setting::new(over_floor(&glass_ball()));
     let split = setting.split(3);
     let connector = setting.connector(&split, Constraint::Angle);
     let start = setting.floor(0.7, -0.4);
@@ -525,10 +520,7 @@ fn walk_in(
 /// inside a glass ball right above a point, 1000 walks of one refraction (errata Z-3.19, 3.8 % and 99.9 %).
 #[test]
 fn angles_around_the_way_itself_fail() {
-    let ball = format!(
-        r#"<shape type="sphere"><point name="center" value="0, 3, 0"/><float name="radius" value="2"/>{GLASS}</shape>"#
-    );
-    let setting = Setting::new(over_floor(&ball));
+    let setting = Setting::new(over_floor(&glass_ball()));
     let split = setting.split(1);
     let connector = setting.connector(&split, Constraint::Angle);
     let start = setting.floor(0.0, 0.0);

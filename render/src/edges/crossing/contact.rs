@@ -84,15 +84,19 @@ pub(super) fn doubt(of: [&Flat; 2], near: f64) -> Option<Doubt> {
         let along = x.normal.cross(y.normal).normalize();
         return (through && common(along, &a, &b, near).is_some()).then_some(Doubt::Grazing);
     }
+    lie_on_each_other(of, near).then_some(Doubt::Twice)
+}
+
+/// Whether two polygons have more than their borders in common, in one plane.
+pub(super) fn lie_on_each_other([x, y]: [&Flat; 2], near: f64) -> bool {
     let (FlatKind::Polygon(a), FlatKind::Polygon(b)) = (&x.kind, &y.kind) else {
-        return None;
+        return false;
     };
     let on = |flat: &Flat, corners: &[Vec3<f64>]| {
         let height = |p: &Vec3<f64>| flat.normal.dot(*p - flat.point()).abs();
         corners.iter().all(|p| height(p) <= near)
     };
-    let one = on(x, b) && on(y, a);
-    (one && overlap(x.normal, a, b, near)).then_some(Doubt::Twice)
+    on(x, b) && on(y, a) && overlap(x.normal, a, b, near)
 }
 
 /// Whether convex polygons in one plane have more than their borders in common.

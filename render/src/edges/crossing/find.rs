@@ -250,8 +250,12 @@ fn flats(of: [&Flat; 2], parts: [LineSide; 2], near: f64, found: &mut Vec<Found>
     let apart = parts[0].shape != parts[1].shape;
     let along = of[0].normal.cross(of[1].normal);
     if along.length() < LEAST_SINE {
-        let doubt = contact::doubt(of, near);
-        if let Some(doubt) = doubt.filter(|&doubt| apart || doubt == Doubt::Twice) {
+        let doubt = if apart {
+            contact::doubt(of, near)
+        } else {
+            contact::lie_on_each_other(of, near).then_some(Doubt::Twice)
+        };
+        if let Some(doubt) = doubt {
             found.push(Found::Doubt(doubt, parts));
         }
         return;
