@@ -271,6 +271,10 @@ impl<P: Real, const N: usize> Real for Dual<P, N> {
         self.re.primal()
     }
     #[inline(always)]
+    fn detach(self) -> Self {
+        Self::constant(self.re.detach())
+    }
+    #[inline(always)]
     fn has_tangent(self) -> bool {
         self.re.has_tangent() || self.eps.iter().any(|e| *e != P::zero() || e.has_tangent())
     }

@@ -36,6 +36,8 @@
 //! | gradient of a long chain | [`Chain`] |
 //! | second order | [`hessian`], [`hvp`] |
 //! | roots of a small system | [`newton()`] |
+//! | bounds over a box | [`Interval`], `Dual<Interval, N>` |
+//! | proof that a root is the only one in a box | [`krawczyk()`] |
 //! | trust | [`check`] |
 //!
 //! There is no tape, no heap allocation per evaluation, no global state and no unsafe code.
@@ -47,6 +49,8 @@ pub mod chain;
 pub mod check;
 pub mod dual;
 pub mod elementary;
+pub mod interval;
+pub mod krawczyk;
 #[doc(hidden)]
 pub mod lanes;
 pub mod mat;
@@ -57,6 +61,8 @@ pub mod vjp;
 
 pub use chain::Chain;
 pub use dual::Dual;
+pub use interval::Interval;
+pub use krawczyk::{Isolated, krawczyk};
 pub use mat::{Mat2, Mat3, block_tridiagonal_solve, solve_dense};
 pub use newton::{NewtonOptions, NewtonResult, NewtonStatus, newton};
 pub use real::{Const, Float, Real, array};

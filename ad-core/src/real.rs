@@ -20,7 +20,8 @@ use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssi
 #[derive(Clone, Copy, Debug, Default, PartialEq, PartialOrd)]
 pub struct Const<P>(pub P);
 
-/// A real scalar: `f32`, `f64`, or a (possibly nested) [`Dual`](crate::Dual) over one of them.
+/// A real scalar: `f32`, `f64`, an [`Interval`](crate::Interval), or a (possibly nested) [`Dual`](crate::Dual) over one of
+/// them.
 ///
 /// Code written once over `R: Real` evaluates in any precision and in any differentiation mode.
 /// Comparisons look at the primal part only, so control flow is the same for every scalar.
