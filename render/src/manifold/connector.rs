@@ -1,5 +1,7 @@
 //! Connections from one vertex: a sampled point of a light, starts of walks, and what their ends are worth.
 
+use std::cell::Cell;
+
 use ad_core::{Float, Vec3};
 use smallvec::SmallVec;
 
@@ -7,6 +9,7 @@ use super::chain::{Event, Events, Surface, Vertex, towards};
 use super::estimate::{Asking, distinct, trials};
 use super::landing::{Landing, Landings};
 use super::normal::{Normal, Slopes, facet};
+use super::sameness::Sameness;
 use super::space::{Space, Start, Target};
 use super::split::{Split, refracts};
 use super::walk::{End, Seed, Solution};
@@ -16,7 +19,7 @@ use crate::bsdf::{Bsdf, DeltaKind, Shading, TransportMode, fresnel};
 use crate::emitter::{Ball, Emission, Emitter};
 use crate::math::{NOWHERE, Ray, Rgb};
 use crate::sampler::{Independent, Sampler};
-use crate::scene::{Connections, Method, Starts};
+use crate::scene::{Connections, Method, Starts, Uniqueness};
 use crate::shape::{Shape, SurfaceInteraction};
 
 /// A start goes on over a further caster, or over either event of glass, at least as often as this, so that every chain
@@ -45,6 +48,10 @@ pub struct Statistics {
     pub trials: u64,
     /// Reciprocals that ran out of trials: where there is one, the image is biased.
     pub exhausted: u64,
+    /// Walks that ended in a solution that was known, as is proved.
+    pub proved: u64,
+    /// The same where only bounds of their errors say so ([`super::Sameness::Unproved`]).
+    pub unproved: u64,
     /// Paths that met light over a chain, where those are asked for that walks miss.
     pub met: u64,
     /// Those of which no walk found the chain: they count. Walks to find out are not counted above.
@@ -62,8 +69,17 @@ impl Statistics {
         self.solutions += other.solutions;
         self.trials += other.trials;
         self.exhausted += other.exhausted;
+        self.proved += other.proved;
+        self.unproved += other.unproved;
         self.met += other.met;
         self.missed += other.missed;
+    }
+
+    /// Counts what two walks were found to be; whether they are one.
+    fn count(&mut self, sameness: Sameness) -> bool {
+        self.proved += u64::from(sameness == Sameness::Proved);
+        self.unproved += u64::from(sameness == Sameness::Unproved);
+        sameness.is_same()
     }
 }
 
@@ -256,8 +272,14 @@ impl<'a> Connector<'a> {
         };
         s.attempts = 1;
         let before = out.len();
-        let uniqueness = self.options.uniqueness;
         let estimate = self.estimate(start, &light.target, most, rng);
+        let compared = Cell::new(Statistics::default());
+        let same = |a: &Solution, b: &Solution| {
+            let mut s = compared.get();
+            let same = self.is_same(&estimate, a, b, &mut s);
+            compared.set(s);
+            same
+        };
         match self.options.method {
             Method::Sms => {
                 let shown = self.shown(&estimate, &mut s);
@@ -273,7 +295,7 @@ impl<'a> Connector<'a> {
                     let goes_on = !stops.now();
                     goes_on.then(|| self.random(&estimate, rng, &mut s))?
                 };
-                let found = distinct(walks, walk, |a, b| a.is(b, uniqueness));
+                let found = distinct(walks, walk, same);
                 out.extend(found.iter().filter_map(|f| self.worth(f, &light)));
             }
             Method::Mnee | Method::MneeUnbiased => {
@@ -284,11 +306,12 @@ impl<'a> Connector<'a> {
                     s.walks += 1;
                     self.walk(&estimate, seed, &mut s)
                 };
-                let found = distinct(n, walk, |a, b| a.is(b, uniqueness));
+                let found = distinct(n, walk, same);
                 out.extend(found.iter().filter_map(|f| self.worth(f, &light)));
             }
             Method::LeftOut | Method::Paths => {}
         }
+        s.merge(&compared.get());
         s.found += u64::from(out.len() > before);
         s
     }
@@ -427,10 +450,34 @@ impl<'a> Connector<'a> {
         s: &mut Statistics,
     ) -> bool {
         let (&Estimate { start, target, .. }, mut steps) = (estimate, 0);
-        let uniqueness = self.options.uniqueness;
-        let near = (self.space).is_near(start, end, target, solution, uniqueness, &mut steps);
+        let near = match self.options.uniqueness {
+            Uniqueness::Proof => {
+                let sameness = (self.space).ended_in(start, end, target, solution, &mut steps);
+                s.count(sameness)
+            }
+            Uniqueness::Threshold(threshold) => {
+                let ended = self.space.polish(start, end, target, &mut steps);
+                ended.is_some_and(|ended| ended.is_within(solution, threshold))
+            }
+        };
         s.steps += u64::from(steps);
         near
+    }
+
+    /// Whether two solutions are one.
+    pub(super) fn is_same(
+        &self,
+        estimate: &Estimate,
+        a: &Solution,
+        b: &Solution,
+        s: &mut Statistics,
+    ) -> bool {
+        match self.options.uniqueness {
+            Uniqueness::Proof => {
+                s.count(self.space.sameness(estimate.start, estimate.target, a, b))
+            }
+            Uniqueness::Threshold(threshold) => a.is_within(b, threshold),
+        }
     }
 
     /// A walk from a random start to a solution.

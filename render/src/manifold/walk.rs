@@ -3,12 +3,13 @@
 use ad_core::{Dual, Mat2, Real, Vec2, Vec3};
 use smallvec::SmallVec;
 
-use super::chain::{Chain, Derivative, Event, Events, Vertex};
+use super::chain::{Chain, Derivative, Event, Events, Surface, Vertex};
 use super::constraint::{self, equator};
+use super::sameness::Sameness;
 use super::space::{Space, Start, Target};
 use crate::accel::Hit;
 use crate::math::{Frame, Ray, both};
-use crate::scene::{Steps, Uniqueness};
+use crate::scene::Steps;
 
 /// A walk has ended before its tolerance, with no more than this, if the last step was Newton's whole one and left so small a
 /// part: of Newton's method there, which squares what is left, that is nearly sure.
@@ -56,30 +57,13 @@ impl Solution {
     pub fn direction(&self) -> Vec3<f64> {
         -self.chain[0].wo
     }
-
-    /// Whether another solution, of the same start and target, is this one.
-    pub fn is(&self, other: &Self, uniqueness: Uniqueness) -> bool {
-        let same = |a: &super::Vertex, b: &super::Vertex| a.kind == b.kind;
-        let alike = self.chain.len() == other.chain.len()
-            && self.chain.iter().zip(&other.chain).all(|(a, b)| same(a, b));
-        alike
-            && match uniqueness {
-                Uniqueness::ErrorBounds => {
-                    let apart = (self.chain[0].si.p - other.chain[0].si.p).length();
-                    apart <= self.error + other.error
-                }
-                Uniqueness::Threshold(threshold) => {
-                    1.0 - self.direction().dot(other.direction()) < threshold
-                }
-            }
-    }
 }
 
 /// A number that changes with two angles of the direction that a chain leaves its start in.
 type Turning = Dual<f64, 2>;
 
 /// Where rays of a chain meet its shapes.
-type Hits = SmallVec<[Hit; 2]>;
+pub(super) type Hits = SmallVec<[Hit; 2]>;
 
 /// Where a walk starts.
 #[derive(Clone, Debug)]
@@ -92,11 +76,13 @@ pub(super) struct Seed {
 
 /// A chain on a walk.
 #[derive(Clone, Debug)]
-struct Point {
+pub(super) struct Point {
     /// Unit direction that it leaves its start in.
     d: Vec3<f64>,
+    /// Where its rays meet its shapes.
+    pub hits: Hits,
     /// Its first vertex, and how that moves with two angles of the direction.
-    p: Vec3<f64>,
+    pub p: Vec3<f64>,
     slopes: [Vec3<f64>; 2],
     /// The last constraint, and how it changes with these.
     value: Vec2<f64>,
@@ -106,13 +92,13 @@ struct Point {
 /// Where a walk ended: near a root.
 #[derive(Clone, Debug)]
 pub(super) struct End {
-    at: Point,
+    pub at: Point,
     /// Newton's step from there.
     step: Vec2<f64>,
     inverse: Mat2<f64>,
     /// Whether Newton's method was seen to square what is left.
     certain: bool,
-    like: Events,
+    pub like: Events,
 }
 
 /// How a walk went.
@@ -152,7 +138,7 @@ impl Point {
 
 impl End {
     /// How far the first vertex may be from that of the exact root.
-    fn error(&self, start: Vec3<f64>) -> f64 {
+    pub fn error(&self, start: Vec3<f64>) -> f64 {
         let [angles, lengths] = ROUNDING;
         let column = |k| self.at.along(self.inverse.col(k)).length_squared();
         let stretch = (column(0) + column(1)).sqrt();
@@ -167,8 +153,8 @@ impl End {
 }
 
 /// All that stays the same on a walk.
-struct Way<'w> {
-    space: &'w Space<'w>,
+pub(super) struct Way<'w> {
+    pub space: &'w Space<'w>,
     start: &'w Start,
     target: &'w Target,
     like: &'w [Event],
@@ -177,7 +163,7 @@ struct Way<'w> {
 }
 
 impl<'w> Way<'w> {
-    fn new(space: &'w Space, start: &'w Start, target: &'w Target, like: &'w [Event]) -> Self {
+    pub fn new(space: &'w Space, start: &'w Start, target: &'w Target, like: &'w [Event]) -> Self {
         let frame = match target {
             Target::Point(p) => equator(*p - start.si.p),
             Target::Direction(d) => equator(*d),
@@ -192,11 +178,13 @@ impl<'w> Way<'w> {
     }
 
     /// The first vertex and the last constraint of the chain in a direction, which may turn. `None` where it meets something
-    /// else, or light goes on otherwise. `hits` says where it meets its shapes, as far as that is known, and becomes complete.
-    fn shoot<R: Real<Primal = f64>>(
+    /// else, or light goes on otherwise. `hits` says where it meets its shapes, as far as that is known, and becomes complete; `seen`
+    /// is called with each surface.
+    pub fn shoot<R: Real<Primal = f64>>(
         &self,
         d: Vec3<R>,
         hits: &mut Hits,
+        mut seen: impl FnMut(&Surface<R>),
     ) -> Option<(Vec3<R>, [R; 2])> {
         let Self { space, start, .. } = *self;
         let mut ray = Ray::new(Vec3::lift(start.si.p), d);
@@ -212,6 +200,7 @@ impl<'w> Way<'w> {
             }
             let w = -ray.d;
             let here = space.surface(&ray, w.primal(), &hits[i], event.normal);
+            seen(&here);
             let p = here.si.p;
             let first = *first.get_or_insert(p);
             if i + 1 == self.like.len() {
@@ -233,12 +222,14 @@ impl<'w> Way<'w> {
     }
 
     /// The chain in a direction, and how it changes.
-    fn point(&self, d: Vec3<f64>, hits: &mut Hits) -> Option<Point> {
+    fn point(&self, d: Vec3<f64>, mut hits: Hits) -> Option<Point> {
         let Frame { s, t, .. } = Frame::from_normal(d);
         let turning = |k: usize| Turning::new(d[k], [s[k], t[k]]);
-        let (p, [a, b]) = self.shoot(Vec3::new(turning(0), turning(1), turning(2)), hits)?;
+        let turned = Vec3::new(turning(0), turning(1), turning(2));
+        let (p, [a, b]) = self.shoot(turned, &mut hits, |_| ())?;
         Some(Point {
             d,
+            hits,
             p: p.primal(),
             slopes: both([0, 1], |k: usize| p.map(|x| x.eps[k])),
             value: Vec2::new(a.re, b.re),
@@ -253,12 +244,12 @@ impl<'w> Way<'w> {
         }
         let mut hits = Hits::new();
         if !likely {
-            let (_, [a, b]) = self.shoot(d, &mut hits)?;
+            let (_, [a, b]) = self.shoot(d, &mut hits, |_| ())?;
             if length(Vec2::new(a, b)) >= than {
                 return None;
             }
         }
-        let found = self.point(d, &mut hits)?;
+        let found = self.point(d, hits)?;
         (length(found.value) < than).then_some(found)
     }
 
@@ -273,7 +264,7 @@ impl<'w> Way<'w> {
             scale,
             tolerance,
         } = self.space.steps;
-        let mut here = self.point(d, &mut Hits::new())?;
+        let mut here = self.point(d, Hits::new())?;
         let (mut part, mut certain) = (1.0, false);
         for _ in 0..most {
             let inverse = here.jacobian.inverse()?;
@@ -383,27 +374,23 @@ impl Space<'_> {
     }
 
     /// Whether a walk ended near this solution, of the same start and target. `steps` counts those that it takes to know.
-    pub(super) fn is_near(
+    pub(super) fn ended_in(
         &self,
         start: &Start,
         end: &End,
         target: &Target,
         solution: &Solution,
-        uniqueness: Uniqueness,
         steps: &mut u32,
-    ) -> bool {
-        if !end.certain || uniqueness != Uniqueness::ErrorBounds {
-            let ended = self.polish(start, end, target, steps);
-            return ended.is_some_and(|ended| ended.is(solution, uniqueness));
+    ) -> Sameness {
+        if end.certain {
+            let near = self.sameness_of_end(start, target, solution, end);
+            if near != Sameness::Unproved {
+                return near;
+            }
         }
-        let same = |a: &Event, b: &Vertex| a.shape == b.shape && a.kind == b.kind;
-        let alike = end.like.len() == solution.chain.len()
-            && end
-                .like
-                .iter()
-                .zip(&solution.chain)
-                .all(|(a, b)| same(a, b));
-        let apart = (end.at.p - solution.chain[0].si.p).length();
-        alike && apart <= end.error(start.si.p) + solution.error
+        match self.polish(start, end, target, steps) {
+            Some(ended) => self.sameness(start, target, solution, &ended),
+            None => Sameness::Apart,
+        }
     }
 }

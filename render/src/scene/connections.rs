@@ -133,10 +133,10 @@ pub enum Starts {
 /// When two walks have ended in the same solution.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Uniqueness {
-    /// If the balls overlap in which the roots lie, as the last steps of Newton's method and rounding bound them: an estimate
-    /// of errors, not a proof, but with nothing to tune.
+    /// If a box around both ends is proved to hold one root alone, and where that cannot be shown if both are nearer than they
+    /// may be off ([`crate::manifold::Sameness`]). Nothing is to be tuned.
     #[default]
-    ErrorBounds,
+    Proof,
     /// If one minus the cosine between their directions is less than this, as it was published: it merges what is distinct.
     Threshold(f64),
 }
