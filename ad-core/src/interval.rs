@@ -104,6 +104,17 @@ impl Interval {
         Self::of_both(lo, hi, self.upper || o.upper)
     }
 
+    /// The numbers of both; its own where there are none.
+    #[must_use]
+    pub fn and(self, o: Self) -> Self {
+        let (lo, hi) = (f64::max(self.lo, o.lo), f64::min(self.hi, o.hi));
+        if lo <= hi {
+            Self { lo, hi, ..self }
+        } else {
+            self
+        }
+    }
+
     fn of_both(lo: f64, hi: f64, upper: bool) -> Self {
         if lo <= hi {
             Self { lo, hi, upper }

@@ -51,6 +51,20 @@ pub fn decided<const N: usize>([a, b]: [Bounded<N>; 2]) -> Option<Bounded<N>> {
     all.then(|| array(joined))
 }
 
+/// A number that is bounded over a box, no wider than the mean value theorem says: it differs from its value in the middle,
+/// `at`, by no more than its derivatives over the box let it. Long computations over intervals forget that their numbers
+/// depend on each other; this brings back what is of first order.
+#[must_use]
+pub fn tightened<const N: usize>(
+    x: Dual<Interval, N>,
+    at: Interval,
+    radius: f64,
+) -> Dual<Interval, N> {
+    let off = Interval::new(-radius, radius);
+    let near = (x.eps.iter()).fold(at, |sum, slope| sum + *slope * off);
+    Dual::new(x.re.and(near), x.eps)
+}
+
 /// Bounds of the Newton step from a point, in the maximum norm: how large a box has to be at least. `at` bounds the function
 /// there and its derivatives. `None` where these may be singular.
 pub fn newton_step<const N: usize>(at: &Bounded<N>) -> Option<f64> {

@@ -518,7 +518,7 @@ pub struct ManifoldArgs {
     #[arg(long, value_name = "NAME", value_enum, requires = "manifold")]
     pub constraint: Option<ConstraintArg>,
     /// Tell solutions apart as published: by one minus the cosine between their directions, at least this; merges some of
-    /// them [default: by bounds of their errors]
+    /// them [default: by proof]
     #[arg(long, value_name = "X", requires = "manifold", value_parser = threshold)]
     #[serde(with = "optim::exact::optional")]
     pub uniqueness_threshold: Option<f64>,
@@ -838,6 +838,10 @@ pub struct WalkReport {
     pub trials_per_solution: f64,
     /// Reciprocals that ran out of trials.
     pub exhausted: u64,
+    /// Walks that ended in a solution that was known, as is proved.
+    pub proved: u64,
+    /// The same where only bounds of errors say so.
+    pub unproved: u64,
 }
 
 impl WalkReport {
@@ -850,6 +854,8 @@ impl WalkReport {
             steps_per_walk: per(s.steps, s.walks),
             trials_per_solution: per(s.trials, s.solutions),
             exhausted: s.exhausted,
+            proved: s.proved,
+            unproved: s.unproved,
         }
     }
 }
@@ -941,9 +947,7 @@ impl ManifoldReport {
         let with_paths = connections.method == Method::MneeUnbiased;
         Some(Self {
             method,
-            unbiased: unbiased
-                && s.exhausted == 0
-                && connections.uniqueness == Uniqueness::ErrorBounds,
+            unbiased: unbiased && s.exhausted == 0 && connections.uniqueness == Uniqueness::Proof,
             bounces: connections.bounces,
             other_light: connections.light == CasterLight::All,
             walks: WalkReport::of(s),

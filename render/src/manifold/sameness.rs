@@ -1,9 +1,10 @@
 //! Whether two walks ended in the same root, by proof.
 
-use ad_core::krawczyk::{Bounded, box_around, decided, isolated, newton_step};
+use ad_core::krawczyk::{Bounded, box_around, decided, isolated, newton_step, tightened};
 use ad_core::{Dual, Interval, Vec2, Vec3};
+use smallvec::SmallVec;
 
-use super::chain::{Event, Surface, Vertex};
+use super::chain::{Event, Events, Surface, Vertex};
 use super::space::{Space, Start, Target};
 use super::walk::{End, Hits, Solution, Way};
 use crate::accel::Hit;
@@ -15,8 +16,8 @@ use crate::texture::Texture;
 const REACH: f64 = 1e-4;
 /// A box is so much wider than what it has to hold, so that a ball around its root that holds both ends lies in it.
 const MARGIN: f64 = 2.5;
-/// And so much wider than Newton's step, as rounding bounds it.
-const STEPS: f64 = 6.0;
+/// And so much wider than Newton's step, as rounding bounds it: the least of which [`CONTRACTION`] lets a proof succeed.
+const STEPS: f64 = 3.0;
 /// Newton's method goes to the root of a box from everywhere around it where simplified steps contract by less.
 const CONTRACTION: f64 = 1.0 / 3.0;
 
@@ -48,6 +49,9 @@ struct Ended<'e> {
 
 /// A bound of a number that changes with two angles of the direction that a chain leaves its start in.
 type Bound = Dual<Interval, 2>;
+
+/// Bounds of position and normal at the vertices of a chain.
+type Middles = SmallVec<[[Interval; 6]; 2]>;
 
 impl Solution {
     /// Where its rays meet its shapes.
@@ -94,7 +98,7 @@ impl Space<'_> {
         if !a.is_alike(b) {
             return Sameness::Apart;
         }
-        let like = a.chain.iter().map(Vertex::event).collect::<Vec<_>>();
+        let like: Events = a.chain.iter().map(Vertex::event).collect();
         let way = Way::new(self, start, target, &like);
         way.sameness(&a.ended(&a.hits()), &b.ended(&b.hits()))
     }
@@ -148,8 +152,9 @@ impl Way<'_> {
         let Frame { s, t, n } = Frame::from_normal(a.d);
         let along = b.d.dot(n);
         let angle = f64::max(b.d.dot(s).abs(), b.d.dot(t).abs()) / along;
-        let met = |hits: &Hits| hits.iter().map(|h| h.prim).collect::<Vec<_>>();
-        if along > 0.0 && angle <= REACH && met(a.hits) == met(b.hits) {
+        let same = |(a, b): (&Hit, &Hit)| a.prim == b.prim;
+        let met = a.hits.len() == b.hits.len() && a.hits.iter().zip(b.hits).all(same);
+        if along > 0.0 && angle <= REACH && met {
             // The box holds both.
             if self.is_alone(a, angle) {
                 return Sameness::Proved;
@@ -165,9 +170,10 @@ impl Way<'_> {
     /// Whether a box around an end has one root alone, where Newton's method goes from everywhere up to `angle` from the end.
     fn is_alone(&self, end: &Ended, angle: f64) -> bool {
         let proof = || {
-            let at = self.bounds(end, 0.0)?;
+            let mut middles = Middles::new();
+            let at = self.bounds(end, 0.0, &mut middles)?;
             let radius = f64::max(MARGIN * angle, STEPS * newton_step(&at)?);
-            let over = self.bounds(end, radius)?;
+            let over = self.bounds(end, radius, &mut middles)?;
             let root = isolated(&at, &over, radius)?;
             let holds = root.error <= 0.5 * (radius - angle);
             Some(holds && root.contraction < CONTRACTION)
@@ -175,19 +181,38 @@ impl Way<'_> {
         proof().unwrap_or(false)
     }
 
-    /// Bounds of the last constraint over a box of directions around an end.
-    fn bounds(&self, end: &Ended, radius: f64) -> Option<Bounded<2>> {
+    /// Bounds of the last constraint over a box of directions around an end; `middles` are bounds at the end itself of the
+    /// surfaces there, which are found where there are none.
+    fn bounds(&self, end: &Ended, radius: f64, middles: &mut Middles) -> Option<Bounded<2>> {
         let [lower, upper] = box_around([0.0; 2], radius);
-        decided([self.bound(end, lower)?, self.bound(end, upper)?])
+        let lower = self.bound(end, lower, radius, middles)?;
+        decided([lower, self.bound(end, upper, radius, middles)?])
     }
 
-    fn bound(&self, end: &Ended, [a, b]: [Bound; 2]) -> Option<Bounded<2>> {
+    fn bound(
+        &self,
+        end: &Ended,
+        [a, b]: [Bound; 2],
+        radius: f64,
+        middles: &mut Middles,
+    ) -> Option<Bounded<2>> {
         let Frame { s, t, n } = Frame::from_normal(end.d);
         let d = Vec3::<Bound>::lift(n) + Vec3::lift(s) * a + Vec3::lift(t) * b;
-        let mut within = true;
-        let seen = |here: &Surface<Bound>| {
+        let (mut within, mut i) = (true, 0);
+        let seen = |here: &mut Surface<Bound>| {
             let material = self.space.scene.material(here.shape);
             within &= self.space.texels(material, here.si.uv.map(|x| x.re)) < 1.0;
+            let (p, n) = (&mut here.si.p, &mut here.facet.n);
+            let numbers = [&mut p.x, &mut p.y, &mut p.z, &mut n.x, &mut n.y, &mut n.z];
+            match middles.get(i) {
+                None => middles.push(numbers.map(|x| x.re)),
+                Some(middle) => {
+                    for (x, at) in numbers.into_iter().zip(middle) {
+                        *x = tightened(*x, *at, radius);
+                    }
+                }
+            }
+            i += 1;
         };
         let (_, value) = self.shoot(d.normalize(), &mut end.hits.clone(), seen)?;
         within.then_some(value)

@@ -184,7 +184,7 @@ impl<'w> Way<'w> {
         &self,
         d: Vec3<R>,
         hits: &mut Hits,
-        mut seen: impl FnMut(&Surface<R>),
+        mut seen: impl FnMut(&mut Surface<R>),
     ) -> Option<(Vec3<R>, [R; 2])> {
         let Self { space, start, .. } = *self;
         let mut ray = Ray::new(Vec3::lift(start.si.p), d);
@@ -199,8 +199,8 @@ impl<'w> Way<'w> {
                 hits.push(hit);
             }
             let w = -ray.d;
-            let here = space.surface(&ray, w.primal(), &hits[i], event.normal);
-            seen(&here);
+            let mut here = space.surface(&ray, w.primal(), &hits[i], event.normal);
+            seen(&mut here);
             let p = here.si.p;
             let first = *first.get_or_insert(p);
             if i + 1 == self.like.len() {
