@@ -9,7 +9,7 @@ use crate::lanes::TangentLanes;
 use crate::real::{Const, Real, array};
 
 /// All numbers from `lo` to `hi`. A function of intervals contains its value at all numbers in them, whatever the rounding:
-/// bounds are rounded outwards, those of functions of the system's library by four units in the last place.
+/// bounds are rounded outwards, by up to two units in the last place, those of functions of the system's library by eight.
 ///
 /// `Dual<Interval, N>` bounds derivatives too, which is what proofs of roots are made of ([`krawczyk`](crate::krawczyk())).
 ///
@@ -38,6 +38,8 @@ pub struct Interval {
 
 /// Functions of the system's library are right to so much of their value.
 const LIBRARY: f64 = 4.0 * f64::EPSILON;
+/// The rounding of what nearly vanishes.
+const TINY: f64 = f64::from_bits(2);
 
 impl Interval {
     /// The whole line.
@@ -115,20 +117,20 @@ impl Interval {
         }
     }
 
+    #[inline(always)]
     fn of_both(lo: f64, hi: f64, upper: bool) -> Self {
-        if lo <= hi {
-            Self { lo, hi, upper }
-        } else {
-            Self {
-                upper,
-                ..Self::LINE
-            }
+        let right = lo <= hi;
+        Self {
+            lo: if right { lo } else { f64::NEG_INFINITY },
+            hi: if right { hi } else { f64::INFINITY },
+            upper,
         }
     }
 
-    /// Of bounds with one rounding each.
+    /// Of bounds with one rounding each: half a unit in the last place, of which this takes one or two.
+    #[inline(always)]
     fn outwards(lo: f64, hi: f64, upper: bool) -> Self {
-        Self::of_both(lo.next_down(), hi.next_up(), upper)
+        Self::of_both(below(lo), above(hi), upper)
     }
 
     /// Of bounds from the system's library, of a function with values between `least` and `most`.
@@ -160,18 +162,32 @@ impl Interval {
         !beyond
     }
 
-    /// Of the products or quotients of bounds.
-    fn spanning(all: [f64; 4], upper: bool) -> Self {
-        if all.iter().any(|x| x.is_nan()) {
-            return Self {
-                upper,
-                ..Self::LINE
-            };
-        }
-        let lo = all.iter().fold(f64::INFINITY, |m, x| f64::min(m, *x));
-        let hi = all.iter().fold(f64::NEG_INFINITY, |m, x| f64::max(m, *x));
+    /// Of the products or quotients of bounds. Where the second or fourth is none, which is zero times infinity, the bound that it
+    /// stands for is among the others; where the first or third is, all is the whole line.
+    #[inline(always)]
+    fn spanning([a, b, c, d]: [f64; 4], upper: bool) -> Self {
+        let lo = lesser(lesser(a, b), lesser(c, d));
+        let hi = -lesser(lesser(-a, -b), lesser(-c, -d));
         Self::outwards(lo, hi, upper)
     }
+}
+
+/// The lesser of two numbers; the first if the second is none, and none if the first is: one instruction.
+#[inline(always)]
+fn lesser(a: f64, b: f64) -> f64 {
+    if b < a { b } else { a }
+}
+
+/// A number below another, by more than a rounding.
+#[inline(always)]
+fn below(x: f64) -> f64 {
+    x - (x.abs() * f64::EPSILON + TINY)
+}
+
+/// A number above another, by more than a rounding.
+#[inline(always)]
+fn above(x: f64) -> f64 {
+    x + (x.abs() * f64::EPSILON + TINY)
 }
 
 impl PartialEq for Interval {
@@ -192,7 +208,7 @@ impl PartialOrd for Interval {
 
 impl Neg for Interval {
     type Output = Self;
-    #[inline]
+    #[inline(always)]
     fn neg(self) -> Self {
         Self {
             lo: -self.hi,
@@ -204,7 +220,7 @@ impl Neg for Interval {
 
 impl Add for Interval {
     type Output = Self;
-    #[inline]
+    #[inline(always)]
     fn add(self, o: Self) -> Self {
         Self::outwards(self.lo + o.lo, self.hi + o.hi, self.upper || o.upper)
     }
@@ -212,7 +228,7 @@ impl Add for Interval {
 
 impl Sub for Interval {
     type Output = Self;
-    #[inline]
+    #[inline(always)]
     fn sub(self, o: Self) -> Self {
         Self::outwards(self.lo - o.hi, self.hi - o.lo, self.upper || o.upper)
     }
@@ -220,7 +236,7 @@ impl Sub for Interval {
 
 impl Mul for Interval {
     type Output = Self;
-    #[inline]
+    #[inline(always)]
     fn mul(self, o: Self) -> Self {
         let all = [
             self.lo * o.lo,
@@ -234,7 +250,7 @@ impl Mul for Interval {
 
 impl Div for Interval {
     type Output = Self;
-    #[inline]
+    #[inline(always)]
     fn div(self, o: Self) -> Self {
         let upper = self.upper || o.upper;
         if o.contains(0.0) {
@@ -257,13 +273,13 @@ macro_rules! with_constants {
     ($($op:ident $f:ident $sym:tt, $assign:ident $g:ident);*) => {$(
         impl $op<Const<f64>> for Interval {
             type Output = Self;
-            #[inline]
+            #[inline(always)]
             fn $f(self, c: Const<f64>) -> Self {
                 self $sym Self::lift(c.0)
             }
         }
         impl $assign for Interval {
-            #[inline]
+            #[inline(always)]
             fn $g(&mut self, o: Self) {
                 *self = *self $sym o;
             }
@@ -280,27 +296,27 @@ impl Sum for Interval {
 }
 
 impl TangentLanes for Interval {
-    #[inline]
+    #[inline(always)]
     fn add<const N: usize>(a: [Self; N], b: [Self; N]) -> [Self; N] {
         array(|k| a[k] + b[k])
     }
-    #[inline]
+    #[inline(always)]
     fn sub<const N: usize>(a: [Self; N], b: [Self; N]) -> [Self; N] {
         array(|k| a[k] - b[k])
     }
-    #[inline]
+    #[inline(always)]
     fn scale<const N: usize>(a: [Self; N], s: Self) -> [Self; N] {
         array(|k| a[k] * s)
     }
-    #[inline]
+    #[inline(always)]
     fn scale_const<const N: usize>(a: [Self; N], c: Const<f64>) -> [Self; N] {
         array(|k| a[k] * c)
     }
-    #[inline]
+    #[inline(always)]
     fn combine<const N: usize>(a: [Self; N], s: Self, b: [Self; N], t: Self) -> [Self; N] {
         array(|k| a[k] * s + b[k] * t)
     }
-    #[inline]
+    #[inline(always)]
     fn combine_add<const N: usize>(a: [Self; N], s: Self, b: [Self; N]) -> [Self; N] {
         array(|k| a[k] * s + b[k])
     }
@@ -313,43 +329,43 @@ impl Real for Interval {
     type Primal = f64;
     const IS_PRIMAL: bool = true;
 
-    #[inline]
+    #[inline(always)]
     fn lift(x: f64) -> Self {
         Self::of_both(x, x, false)
     }
-    #[inline]
+    #[inline(always)]
     fn primal(self) -> f64 {
         if self.upper { self.hi } else { self.lo }
     }
-    #[inline]
+    #[inline(always)]
     fn detach(self) -> Self {
         self
     }
-    #[inline]
+    #[inline(always)]
     fn has_tangent(self) -> bool {
         false
     }
-    #[inline]
+    #[inline(always)]
     fn is_finite(self) -> bool {
         true
     }
 
-    #[inline]
+    #[inline(always)]
     fn sqrt(self) -> Self {
         if self.lo < 0.0 {
             return self.line();
         }
-        let lo = f64::max(self.lo.sqrt().next_down(), 0.0);
-        Self::of_both(lo, self.hi.sqrt().next_up(), self.upper)
+        let lo = f64::max(below(self.lo.sqrt()), 0.0);
+        Self::of_both(lo, above(self.hi.sqrt()), self.upper)
     }
     fn cbrt(self) -> Self {
         self.increasing(f64::cbrt, ALL)
     }
-    #[inline]
+    #[inline(always)]
     fn recip(self) -> Self {
         Self::lift(1.0) / self
     }
-    #[inline]
+    #[inline(always)]
     fn div_into(self, c: Const<f64>) -> Self {
         Self::lift(c.0) / self
     }
@@ -471,7 +487,7 @@ impl Real for Interval {
     fn hypot(self, y: Self) -> Self {
         (self.square() + y.square()).sqrt()
     }
-    #[inline]
+    #[inline(always)]
     fn abs(self) -> Self {
         if self.lo >= 0.0 {
             self
@@ -485,12 +501,12 @@ impl Real for Interval {
             }
         }
     }
-    #[inline]
+    #[inline(always)]
     fn min(self, o: Self) -> Self {
         let (lo, hi) = (f64::min(self.lo, o.lo), f64::min(self.hi, o.hi));
         Self::of_both(lo, hi, self.upper || o.upper)
     }
-    #[inline]
+    #[inline(always)]
     fn max(self, o: Self) -> Self {
         let (lo, hi) = (f64::max(self.lo, o.lo), f64::max(self.hi, o.hi));
         Self::of_both(lo, hi, self.upper || o.upper)
@@ -509,10 +525,10 @@ impl Real for Interval {
         }
         Self::outwards(self.lo.rem_euclid(m), self.hi.rem_euclid(m), self.upper)
     }
-    #[inline]
+    #[inline(always)]
     fn square(self) -> Self {
         let x = self.abs();
-        let lo = f64::max((x.lo * x.lo).next_down(), 0.0);
-        Self::of_both(lo, (x.hi * x.hi).next_up(), self.upper)
+        let lo = f64::max(below(x.lo * x.lo), 0.0);
+        Self::of_both(lo, above(x.hi * x.hi), self.upper)
     }
 }

@@ -96,6 +96,29 @@ fn what_has_no_bound_is_the_whole_line() {
     for y in all(Interval::LINE) {
         assert!(y.lo() <= y.hi(), "{y:?}");
     }
+    // Zero times infinity is zero, in any place.
+    let inf = f64::INFINITY;
+    let ends = [-inf, -2.0, 0.0, 1.0, inf];
+    let every = || {
+        let pairs = ends.iter().flat_map(|&a| ends.map(|b| (a, b)));
+        pairs
+            .filter(|(a, b)| a <= b)
+            .map(|(a, b)| Interval::new(a, b))
+    };
+    for (x, y) in every().flat_map(|x| every().map(move |y| (x, y))) {
+        let within = |i: Interval| [i.lo().max(-1e300), i.middle(), i.hi().min(1e300)];
+        for (a, b) in within(x)
+            .into_iter()
+            .flat_map(|a| within(y).map(|b| (a, b)))
+        {
+            assert!((x * y).contains(a * b), "{x:?} {y:?}");
+            assert!(b == 0.0 || (x / y).contains(a / b), "{x:?} {y:?}");
+            assert!(
+                (x + y).contains(a + b) && (x - y).contains(a - b),
+                "{x:?} {y:?}"
+            );
+        }
+    }
     let turn = Interval::new(-1.0, 1.0).atan2(Interval::new(-2.0, -1.0));
     assert!(turn.contains(3.1) && turn.contains(-3.1));
     assert!(Interval::new(1.0, 8.0).sin().contains(-1.0));

@@ -518,10 +518,19 @@ pub struct ManifoldArgs {
     #[arg(long, value_name = "NAME", value_enum, requires = "manifold")]
     pub constraint: Option<ConstraintArg>,
     /// Tell solutions apart as published: by one minus the cosine between their directions, at least this; merges some of
-    /// them [default: by proof]
+    /// them [default: by bounds of their errors]
     #[arg(long, value_name = "X", requires = "manifold", value_parser = threshold)]
     #[serde(with = "optim::exact::optional")]
     pub uniqueness_threshold: Option<f64>,
+    /// Prove of one in so many walks that it ended in the solution that it was taken for; 1 of all, 0 of none. Changes no image
+    /// [default: 64]
+    #[arg(
+        long,
+        value_name = "N",
+        requires = "manifold",
+        conflicts_with = "uniqueness_threshold"
+    )]
+    pub proofs: Option<u32>,
     /// Where walks start: at random points (uniform), after a walk over the surfaces without their normal maps (two-stage), or
     /// where particles passed that landed nearby, whose solutions count without trials, and else in two stages (particles)
     /// [default: particles]
@@ -741,6 +750,7 @@ impl ManifoldArgs {
                 let others = self.trials.is_some()
                     || self.constraint.is_some()
                     || self.uniqueness_threshold.is_some()
+                    || self.proofs.is_some()
                     || self.starts.is_some();
                 if others {
                     return usage("--manifold off: options of walks are without effect");
@@ -789,6 +799,7 @@ impl ManifoldArgs {
         if let Some(threshold) = self.uniqueness_threshold {
             connections.uniqueness = Uniqueness::Threshold(threshold);
         }
+        connections.proofs = self.proofs.unwrap_or(connections.proofs);
         complain_of_casters(scene, &connections);
         if Split::of(scene, &connections).is_none() {
             complain!(
@@ -838,10 +849,6 @@ pub struct WalkReport {
     pub trials_per_solution: f64,
     /// Reciprocals that ran out of trials.
     pub exhausted: u64,
-    /// Walks that ended in a solution that was known, as is proved.
-    pub proved: u64,
-    /// The same where only bounds of errors say so.
-    pub unproved: u64,
 }
 
 impl WalkReport {
@@ -854,8 +861,6 @@ impl WalkReport {
             steps_per_walk: per(s.steps, s.walks),
             trials_per_solution: per(s.trials, s.solutions),
             exhausted: s.exhausted,
-            proved: s.proved,
-            unproved: s.unproved,
         }
     }
 }
@@ -874,6 +879,10 @@ pub struct ManifoldReport {
     /// What walks came to, of vertices and light samples.
     #[serde(flatten)]
     pub walks: WalkReport,
+    /// Of those walks that `--proofs` chooses: how many are proved to have ended in the solution that they were taken for.
+    pub proved: u64,
+    /// And how many not.
+    pub unproved: u64,
     /// The part of the image's light that they brought, of an image.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub share_of_light: Option<f64>,
@@ -947,10 +956,14 @@ impl ManifoldReport {
         let with_paths = connections.method == Method::MneeUnbiased;
         Some(Self {
             method,
-            unbiased: unbiased && s.exhausted == 0 && connections.uniqueness == Uniqueness::Proof,
+            unbiased: unbiased
+                && s.exhausted == 0
+                && connections.uniqueness == Uniqueness::ErrorBounds,
             bounces: connections.bounces,
             other_light: connections.light == CasterLight::All,
             walks: WalkReport::of(s),
+            proved: s.proved,
+            unproved: s.unproved,
             share_of_light: None,
             paths_met: with_paths.then_some(s.met),
             paths_counted: with_paths.then_some(s.missed),

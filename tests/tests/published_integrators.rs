@@ -241,7 +241,7 @@ fn options_of_connected_integrators_are_honoured_or_named() {
             c.method == Method::Sms
                 && c.budget == Connections::BUDGET
                 && c.starts == Starts::Particles
-                && c.uniqueness == Uniqueness::Proof
+                && c.uniqueness == Uniqueness::ErrorBounds
                 && c.constraint == Constraint::Angle
         }),
         (

@@ -48,9 +48,9 @@ pub struct Statistics {
     pub trials: u64,
     /// Reciprocals that ran out of trials: where there is one, the image is biased.
     pub exhausted: u64,
-    /// Walks that ended in a solution that was known, as is proved.
+    /// Walks of which it is proved that they ended in the solution that they were taken for ([`Connections::proofs`]).
     pub proved: u64,
-    /// The same where only bounds of their errors say so ([`super::Sameness::Unproved`]).
+    /// Those of which there is no proof.
     pub unproved: u64,
     /// Paths that met light over a chain, where those are asked for that walks miss.
     pub met: u64,
@@ -75,11 +75,13 @@ impl Statistics {
         self.missed += other.missed;
     }
 
-    /// Counts what two walks were found to be; whether they are one.
-    fn count(&mut self, sameness: Sameness) -> bool {
-        self.proved += u64::from(sameness == Sameness::Proved);
-        self.unproved += u64::from(sameness == Sameness::Unproved);
-        sameness.is_same()
+    /// Counts what is proved of two walks that were taken for one.
+    fn count(&mut self, sameness: Sameness) {
+        if sameness == Sameness::Proved {
+            self.proved += 1;
+        } else {
+            self.unproved += 1;
+        }
     }
 }
 
@@ -450,17 +452,14 @@ impl<'a> Connector<'a> {
         s: &mut Statistics,
     ) -> bool {
         let (&Estimate { start, target, .. }, mut steps) = (estimate, 0);
-        let near = match self.options.uniqueness {
-            Uniqueness::Proof => {
-                let sameness = (self.space).ended_in(start, end, target, solution, &mut steps);
-                s.count(sameness)
-            }
-            Uniqueness::Threshold(threshold) => {
-                let ended = self.space.polish(start, end, target, &mut steps);
-                ended.is_some_and(|ended| ended.is_within(solution, threshold))
-            }
-        };
+        let uniqueness = self.options.uniqueness;
+        let near = (self.space).is_near(start, end, target, solution, uniqueness, &mut steps);
         s.steps += u64::from(steps);
+        let by_bounds = uniqueness == Uniqueness::ErrorBounds;
+        if near && by_bounds && self.options.proves(end.direction()) {
+            let proof = (self.space).sameness_of_end(start, target, solution, end);
+            s.count(proof);
+        }
         near
     }
 
@@ -472,12 +471,13 @@ impl<'a> Connector<'a> {
         b: &Solution,
         s: &mut Statistics,
     ) -> bool {
-        match self.options.uniqueness {
-            Uniqueness::Proof => {
-                s.count(self.space.sameness(estimate.start, estimate.target, a, b))
-            }
-            Uniqueness::Threshold(threshold) => a.is_within(b, threshold),
+        let uniqueness = self.options.uniqueness;
+        let same = a.is(b, uniqueness);
+        let by_bounds = uniqueness == Uniqueness::ErrorBounds;
+        if same && by_bounds && self.options.proves(b.direction()) {
+            s.count((self.space).sameness(estimate.start, estimate.target, a, b));
         }
+        same
     }
 
     /// A walk from a random start to a solution.

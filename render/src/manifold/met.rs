@@ -85,7 +85,7 @@ impl Connector<'_> {
                     self.walk(&estimate, Seed { d, like }, &mut Statistics::default())
                 });
                 own.as_ref()
-                    .is_some_and(|own| self.is_same(&estimate, own, &found, &mut ignored))
+                    .is_some_and(|own| found.is(own, self.options.uniqueness))
                     && self.worth(&found, &light).is_some()
             })
     }

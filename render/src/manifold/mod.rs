@@ -10,6 +10,10 @@
 //! else that of ordinary sampling, which leaves their light out. Both sides ask the same function, so that the image is
 //! that of the path tracer.
 //!
+//! # Solutions that are one
+//! Two walks ended in the same root if they are nearer than both may be off. Of a sample of them that is proved, by interval arithmetic
+//! ([`Space::sameness`]), and [`Statistics`] say how many proofs succeeded.
+//!
 //! # Rough casters
 //! Of metal and glass that are rough, the normal of one facet per vertex is drawn for each estimate and kept through all its
 //! walks; the chain is that of a mirror with this offset normal, and its light is worth the value of the material over the

@@ -75,16 +75,10 @@ impl Solution {
     }
 
     /// Whether it has the same shapes and events as another.
-    pub(super) fn is_alike(&self, other: &Self) -> bool {
+    fn is_alike(&self, other: &Self) -> bool {
         let same = |a: &Vertex, b: &Vertex| a.shape == b.shape && a.kind == b.kind;
         self.chain.len() == other.chain.len()
             && self.chain.iter().zip(&other.chain).all(|(a, b)| same(a, b))
-    }
-
-    /// Whether another solution, of the same start and target, is taken for this one as it was published: by a threshold on
-    /// one minus the cosine between their directions.
-    pub fn is_within(&self, other: &Self, threshold: f64) -> bool {
-        self.is_alike(other) && 1.0 - self.direction().dot(other.direction()) < threshold
     }
 }
 
@@ -103,8 +97,23 @@ impl Space<'_> {
         way.sameness(&a.ended(&a.hits()), &b.ended(&b.hits()))
     }
 
-    /// The same of a walk that ended near a root, without going there.
+    /// The same of a walk that ended near a root: there, or where it goes on to.
     pub(super) fn sameness_of_end(
+        &self,
+        start: &Start,
+        target: &Target,
+        known: &Solution,
+        end: &End,
+    ) -> Sameness {
+        let near = self.sameness_near(start, target, known, end);
+        if near == Sameness::Proved {
+            return near;
+        }
+        let ended = self.polish(start, end, target, &mut 0);
+        ended.map_or(near, |ended| self.sameness(start, target, known, &ended))
+    }
+
+    fn sameness_near(
         &self,
         start: &Start,
         target: &Target,
@@ -171,7 +180,9 @@ impl Way<'_> {
     fn is_alone(&self, end: &Ended, angle: f64) -> bool {
         let proof = || {
             let mut middles = Middles::new();
-            let at = self.bounds(end, 0.0, &mut middles)?;
+            // What is decided in the box is decided here.
+            let [here, _] = box_around([0.0; 2], 0.0);
+            let at = self.bound(end, here, 0.0, &mut middles)?;
             let radius = f64::max(MARGIN * angle, STEPS * newton_step(&at)?);
             let over = self.bounds(end, radius, &mut middles)?;
             let root = isolated(&at, &over, radius)?;
@@ -181,14 +192,15 @@ impl Way<'_> {
         proof().unwrap_or(false)
     }
 
-    /// Bounds of the last constraint over a box of directions around an end; `middles` are bounds at the end itself of the
-    /// surfaces there, which are found where there are none.
+    /// Bounds of the last constraint over a box of directions around an end, in which all is decided; `middles` are those at
+    /// the end itself.
     fn bounds(&self, end: &Ended, radius: f64, middles: &mut Middles) -> Option<Bounded<2>> {
         let [lower, upper] = box_around([0.0; 2], radius);
         let lower = self.bound(end, lower, radius, middles)?;
         decided([lower, self.bound(end, upper, radius, middles)?])
     }
 
+    /// Bounds of the last constraint over a box of directions. Where there are no `middles`, they become what is found.
     fn bound(
         &self,
         end: &Ended,

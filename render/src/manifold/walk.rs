@@ -5,11 +5,10 @@ use smallvec::SmallVec;
 
 use super::chain::{Chain, Derivative, Event, Events, Surface, Vertex};
 use super::constraint::{self, equator};
-use super::sameness::Sameness;
 use super::space::{Space, Start, Target};
 use crate::accel::Hit;
 use crate::math::{Frame, Ray, both};
-use crate::scene::Steps;
+use crate::scene::{Steps, Uniqueness};
 
 /// A walk has ended before its tolerance, with no more than this, if the last step was Newton's whole one and left so small a
 /// part: of Newton's method there, which squares what is left, that is nearly sure.
@@ -56,6 +55,23 @@ impl Solution {
     /// Unit direction that the chain leaves its start in.
     pub fn direction(&self) -> Vec3<f64> {
         -self.chain[0].wo
+    }
+
+    /// Whether another solution, of the same start and target, is this one.
+    pub fn is(&self, other: &Self, uniqueness: Uniqueness) -> bool {
+        let same = |a: &super::Vertex, b: &super::Vertex| a.kind == b.kind;
+        let alike = self.chain.len() == other.chain.len()
+            && self.chain.iter().zip(&other.chain).all(|(a, b)| same(a, b));
+        alike
+            && match uniqueness {
+                Uniqueness::ErrorBounds => {
+                    let apart = (self.chain[0].si.p - other.chain[0].si.p).length();
+                    apart <= self.error + other.error
+                }
+                Uniqueness::Threshold(threshold) => {
+                    1.0 - self.direction().dot(other.direction()) < threshold
+                }
+            }
     }
 }
 
@@ -374,23 +390,27 @@ impl Space<'_> {
     }
 
     /// Whether a walk ended near this solution, of the same start and target. `steps` counts those that it takes to know.
-    pub(super) fn ended_in(
+    pub(super) fn is_near(
         &self,
         start: &Start,
         end: &End,
         target: &Target,
         solution: &Solution,
+        uniqueness: Uniqueness,
         steps: &mut u32,
-    ) -> Sameness {
-        if end.certain {
-            let near = self.sameness_of_end(start, target, solution, end);
-            if near != Sameness::Unproved {
-                return near;
-            }
+    ) -> bool {
+        if !end.certain || uniqueness != Uniqueness::ErrorBounds {
+            let ended = self.polish(start, end, target, steps);
+            return ended.is_some_and(|ended| ended.is(solution, uniqueness));
         }
-        match self.polish(start, end, target, steps) {
-            Some(ended) => self.sameness(start, target, solution, &ended),
-            None => Sameness::Apart,
-        }
+        let same = |a: &Event, b: &Vertex| a.shape == b.shape && a.kind == b.kind;
+        let alike = end.like.len() == solution.chain.len()
+            && end
+                .like
+                .iter()
+                .zip(&solution.chain)
+                .all(|(a, b)| same(a, b));
+        let apart = (end.at.p - solution.chain[0].si.p).length();
+        alike && apart <= end.error(start.si.p) + solution.error
     }
 }

@@ -1,5 +1,7 @@
 //! What a scene says about manifold connections: who throws caustics, who receives them, how they are found.
 
+use ad_core::Vec3;
+
 /// How manifold connections are made: paths from a vertex that is not specular over a chain of specular ones to a sampled
 /// point of a light. See [`crate::manifold`].
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -12,6 +14,10 @@ pub struct Connections {
     pub constraint: Constraint,
     /// When two walks have ended in the same solution.
     pub uniqueness: Uniqueness,
+    /// Of so many walks that are taken to have ended in a known solution, by [`Uniqueness::ErrorBounds`], one is proved to have, if it
+    /// can be ([`crate::manifold::Space::sameness`]); of 1 all are, of 0 none. It changes no image: [`crate::manifold::Statistics`]
+    /// counts.
+    pub proofs: u32,
     /// Where walks start.
     pub starts: Starts,
     /// Surfaces of metal and glass that are no rougher than this throw light over chains, too; others are left to paths,
@@ -133,10 +139,10 @@ pub enum Starts {
 /// When two walks have ended in the same solution.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Uniqueness {
-    /// If a box around both ends is proved to hold one root alone, and where that cannot be shown if both are nearer than they
-    /// may be off ([`crate::manifold::Sameness`]). Nothing is to be tuned.
+    /// If the balls overlap in which the roots lie, as the last steps of Newton's method and rounding bound them: an estimate
+    /// of errors with nothing to tune, of which [`Connections::proofs`] are made.
     #[default]
-    Proof,
+    ErrorBounds,
     /// If one minus the cosine between their directions is less than this, as it was published: it merges what is distinct.
     Threshold(f64),
 }
@@ -151,8 +157,17 @@ impl Connections {
     pub const BUDGET: u32 = 1 << 16;
     /// Largest trial set.
     pub const MOST_WALKS: u32 = 1 << 20;
+    /// A proof takes several times as long as a walk, and succeeds nearly always.
+    pub const PROOFS: u32 = 64;
     /// Size of a trial set by default [Zeltner 2021, figure 3.13].
     pub const TRIALS: u32 = 16;
+
+    /// Whether a proof is made for a walk that ended in this direction: a function of its last digits.
+    pub(crate) fn proves(&self, d: Vec3<f64>) -> bool {
+        let digits = d.x.to_bits() ^ d.y.to_bits().rotate_left(21) ^ d.z.to_bits().rotate_left(42);
+        let mixed = digits.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 32;
+        self.proofs > 0 && mixed.is_multiple_of(u64::from(self.proofs))
+    }
 
     /// Unbiased, with chains of at most two vertices.
     pub fn new(method: Method) -> Self {
@@ -161,6 +176,7 @@ impl Connections {
             bounces: 2,
             constraint: Constraint::default(),
             uniqueness: Uniqueness::default(),
+            proofs: Self::PROOFS,
             starts: Starts::default(),
             roughness: Self::SMOOTH,
             by_pixel: false,

@@ -8,7 +8,7 @@
 //! | `mnee_init`, `biased_mnee` | `path_sms_ss`, `_ms` | one start; without paths for what it misses |
 //! | `twostage` | `path_sms_ss`, `_ms` | where walks start, of random ones; particles if it is not there |
 //! | `halfvector_constraints` | `path_sms_ss`, `_ms` | the constraint |
-//! | `uniqueness_threshold` | `path_sms_*` | the published rule; by proof if it is not there |
+//! | `uniqueness_threshold` | `path_sms_*` | the published rule; bounds of errors if it is not there |
 //! | `max_iterations` | `path_sms_*` | most steps of a walk |
 //! | `step_scale`, `solver_threshold` | `path_sms_ss`, `_ms` | the part of Newton's step that is tried first, where walks end |
 //! | `bsdf_strategy_only`, `sms_strategy_only` | `path_sms_glints` | who finds glints |
@@ -83,8 +83,8 @@ pub(super) fn connections(node: &Node) -> Result<Connections, SceneError> {
     let uniqueness = match threshold(node)? {
         Some(x) => {
             node.warn(
-                "`uniqueness_threshold`: solutions that are nearer are taken for one, which loses light; without it two \
-                 are one where that is proved",
+                "`uniqueness_threshold`: solutions that are nearer are taken for one, which loses light; without it they are \
+                 told apart by bounds of their errors",
             );
             Uniqueness::Threshold(x)
         }
