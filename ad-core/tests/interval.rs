@@ -106,7 +106,7 @@ fn what_has_no_bound_is_the_whole_line() {
             .map(|(a, b)| Interval::new(a, b))
     };
     for (x, y) in every().flat_map(|x| every().map(move |y| (x, y))) {
-        let within = |i: Interval| [i.lo().max(-1e300), i.middle(), i.hi().min(1e300)];
+        let within = |i: Interval| [i.lo().max(-1e300), i.hi().min(1e300)];
         for (a, b) in within(x)
             .into_iter()
             .flat_map(|a| within(y).map(|b| (a, b)))

@@ -5,6 +5,7 @@ use std::fmt::Write as _;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::str::FromStr;
 use std::time::Instant;
 
 use clap::{ArgMatches, Args, Parser, ValueEnum};
@@ -23,8 +24,8 @@ use render::manifold::{Split, Statistics};
 use render::params::{ParamInfo, ParamShape};
 use render::sampler::Points;
 use render::scene::{
-    CasterLight, Caustics, Connections, Constraint, GlintMethod, GlintRegion, GlintWeights, Glints,
-    LightChoice, LoadOptions, Method, Starts, Uniqueness,
+    CasterLight, Caustics, Connections, Constraint, Families, GlintMethod, GlintRegion,
+    GlintWeights, Glints, LightChoice, LoadOptions, Method, Starts, Uniqueness,
 };
 use render::{RenderError, Scene, SceneError, Settings, image_io};
 use serde::de::Error as _;
@@ -495,13 +496,40 @@ pub struct SampleArgs {
 /// scrambling of its own, and hold for any points.
 const POINTS: Points = Points::Sobol;
 
+/// `--chains`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub struct Chains(Families);
+
+impl FromStr for Chains {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        text.parse().map(Self)
+    }
+}
+
+impl TryFrom<String> for Chains {
+    type Error = String;
+
+    fn try_from(text: String) -> Result<Self, String> {
+        text.parse()
+    }
+}
+
+impl From<Chains> for String {
+    fn from(Chains(families): Chains) -> Self {
+        families.to_string()
+    }
+}
+
 /// `--manifold` and its companions.
 #[derive(Args, Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct ManifoldArgs {
     /// How light over chains of mirrors and smooth glass is found that sampling cannot find: sms (unbiased), sms-biased
     /// (distinct solutions of --trials walks), mnee (one walk, towards the light), mnee-unbiased (that walk, and paths for the
-    /// chains that it misses), or off: paths find it, but with --bounces or --caster-roughness the light of such chains is left
+    /// chains that it misses), or off: paths find it, but with --bounces, --chains or --caster-roughness the light of such chains is left
     /// out [default: the scene's integrator]
     #[arg(long, value_name = "NAME", value_enum)]
     pub manifold: Option<ManifoldArg>,
@@ -514,6 +542,15 @@ pub struct ManifoldArgs {
     #[arg(long, value_name = "K", requires = "manifold",
           value_parser = clap::value_parser!(u32).range(1..=i64::from(Connections::MOST_BOUNCES)))]
     pub bounces: Option<u32>,
+    /// Connect over these chains alone: words of R (reflection) and T (refraction), from the receiver to the light, such as R,TT; paths
+    /// find the light of others
+    #[arg(
+        long,
+        value_name = "WORDS",
+        requires = "manifold",
+        conflicts_with = "bounces"
+    )]
+    pub chains: Option<Chains>,
     /// The function whose roots are sought
     #[arg(long, value_name = "NAME", value_enum, requires = "manifold")]
     pub constraint: Option<ConstraintArg>,
@@ -755,7 +792,8 @@ impl ManifoldArgs {
                 if others {
                     return usage("--manifold off: options of walks are without effect");
                 }
-                if self.bounces.is_none() && self.caster_roughness.is_none() {
+                let named = self.bounces.is_some() || self.chains.is_some();
+                if !named && self.caster_roughness.is_none() {
                     settings.connections = None;
                     return Ok(());
                 }
@@ -782,6 +820,7 @@ impl ManifoldArgs {
         }
         let mut connections = Connections::new(method);
         connections.bounces = self.bounces.unwrap_or(connections.bounces);
+        connections.families = self.chains.map(|Chains(families)| families);
         if let (Method::Sms, Some(trials)) = (method, self.trials) {
             connections.budget = trials;
         }
@@ -874,6 +913,9 @@ pub struct ManifoldReport {
     pub unbiased: bool,
     /// Most vertices of a chain.
     pub bounces: u32,
+    /// Which chains, where not all are looked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub chains: Option<String>,
     /// Whether light over casters is there that is not of such chains.
     pub other_light: bool,
     /// What walks came to, of vertices and light samples.
@@ -959,7 +1001,8 @@ impl ManifoldReport {
             unbiased: unbiased
                 && s.exhausted == 0
                 && connections.uniqueness == Uniqueness::ErrorBounds,
-            bounces: connections.bounces,
+            bounces: connections.longest(),
+            chains: connections.families.map(|families| families.to_string()),
             other_light: connections.light == CasterLight::All,
             walks: WalkReport::of(s),
             proved: s.proved,

@@ -26,7 +26,7 @@ use crate::math::Rgb;
 use crate::parallel;
 use crate::params::Theta;
 use crate::sampler::Sampler;
-use crate::scene::{Scene, Settings};
+use crate::scene::{Family, Scene, Settings};
 
 /// Within the radius there are this many particles around half of all particles.
 const NEIGHBOURS: usize = 8;
@@ -47,8 +47,9 @@ pub struct ChainLight {
 struct ChainKeeper<'a, P: Float> {
     scene: &'a Scene,
     split: &'a Split,
-    /// Casters so far, as long as it is on a chain.
-    casters: Option<u32>,
+    /// What happened at casters so far, seen from its end, as long as it is on a chain; and whether it is at one.
+    events: Option<Family>,
+    at_caster: bool,
     /// The last of them: its index, its material, and the side that the particle came from.
     last: (u32, u32, P),
     landed: Vec<Landed<P>>,
@@ -58,12 +59,16 @@ impl<P: Float> Interest for ChainKeeper<'_, P> {}
 
 impl<P: Float> Observer<P> for ChainKeeper<'_, P> {
     fn vertex(&mut self, beta: Rgb<P>, place: &Place<P>) {
-        let Some(casters) = self.casters else {
+        let Some(events) = self.events else {
             return;
         };
-        self.casters = self.split.next_of_particle(casters, place.shape);
-        if casters > 0 && self.split.lands(casters, self.last.0, place.shape) {
+        let casters = events.vertices();
+        self.at_caster = self.split.takes_particle(casters, place.shape);
+        if casters > 0 && self.split.lands(events, self.last.0, place.shape) {
             self.landed.push(Landed::at(place, beta, casters + 1));
+        }
+        if !self.at_caster {
+            self.events = None;
         }
         let material = self.scene.shape_info(place.shape).material;
         self.last = (place.shape, material, place.wo.z);
@@ -71,12 +76,14 @@ impl<P: Float> Observer<P> for ChainKeeper<'_, P> {
 
     fn contribution(&mut self, contribution: Contribution<P>) {
         if let Contribution::Emitted(light) = contribution {
-            self.casters = self.split.is_connected(light.emitter).then_some(0);
+            let connected = self.split.is_connected(light.emitter);
+            (self.events, self.at_caster) = (connected.then_some(Family::NONE), false);
         }
-        if let (Contribution::Scattered(bounce), Some(1..)) = (&contribution, self.casters) {
+        if let (Contribution::Scattered(bounce), true) = (&contribution, self.at_caster) {
             let (_, material, wo_z) = self.last;
             let reflects = wo_z * bounce.wi.z > P::zero();
-            self.casters = (self.casters).filter(|_| self.split.keeps_particle(material, reflects));
+            let kept = (self.events).filter(|_| self.split.keeps_particle(material, reflects));
+            self.events = kept.map(|events| events.after(!reflects));
         }
     }
 }
@@ -210,7 +217,8 @@ pub fn image<P: Float + Components, X: Sampler>(
     let keeper = ChainKeeper {
         scene,
         split,
-        casters: None,
+        events: None,
+        at_caster: false,
         last: (0, 0, P::zero()),
         landed: Vec::new(),
     };

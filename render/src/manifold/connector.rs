@@ -19,7 +19,7 @@ use crate::bsdf::{Bsdf, DeltaKind, Shading, TransportMode, fresnel};
 use crate::emitter::{Ball, Emission, Emitter};
 use crate::math::{NOWHERE, Ray, Rgb};
 use crate::sampler::{Independent, Sampler};
-use crate::scene::{Connections, Method, Starts, Uniqueness};
+use crate::scene::{Connections, Family, Method, Starts, Uniqueness};
 use crate::shape::{Shape, SurfaceInteraction};
 
 /// A start goes on over a further caster, or over either event of glass, at least as often as this, so that every chain
@@ -523,7 +523,10 @@ impl<'a> Connector<'a> {
     }
 
     /// Whether chains of these shapes and events are looked for.
-    pub(super) fn takes(&self, like: impl ExactSizeIterator<Item = (u32, DeltaKind)>) -> bool {
+    pub(super) fn takes(
+        &self,
+        like: impl ExactSizeIterator<Item = (u32, DeltaKind)> + Clone,
+    ) -> bool {
         let material = |shape: u32| self.space.scene.shape_info(shape).material;
         self.split
             .takes(like.map(|(shape, kind)| (shape, material(shape), kind)))
@@ -612,7 +615,10 @@ impl<'a> Connector<'a> {
             let mut next = None;
             // What is met, and where light goes on, is looked up only where something depends on it.
             if !last || refracts(self.space.scene.material(met)) {
-                let (here, kind) = self.event(from, d, &hit, scatters, u);
+                let refracted = |e: &Event| e.kind == DeltaKind::Transmission;
+                let before = like.iter().fold(Family::NONE, |f, e| f.then(refracted(e)));
+                let may = self.split.goes_on(before);
+                let (here, kind) = self.event(from, d, &hit, scatters, (u, may));
                 event.kind = kind;
                 if !last {
                     next = self.space.onward(&here, -d, kind);
@@ -632,14 +638,14 @@ impl<'a> Connector<'a> {
         }
     }
 
-    /// The surface at a hit on a caster, and a random event there.
+    /// The surface at a hit on a caster, and a random event there, of those that may be: reflection, refraction.
     pub(super) fn event(
         &self,
         from: Vec3<f64>,
         d: Vec3<f64>,
         hit: &Hit,
         normal: Normal,
-        u: f64,
+        (u, [may_reflect, may_refract]): (f64, [bool; 2]),
     ) -> (Surface<f64>, DeltaKind) {
         let here = (self.space).surface(&Ray::new(from, d), -d, hit, normal);
         if !refracts(self.space.scene.material(here.shape)) {
@@ -648,12 +654,10 @@ impl<'a> Connector<'a> {
         let (cos, eta) = (-here.facet.n.dot(d), here.facet.eta);
         let across = if cos < 0.0 { eta.recip() } else { eta };
         let light = fresnel::dielectric(cos.abs(), across);
-        let reflects = if self.split.selects() {
-            0.0
-        } else {
-            light
-                .reflect
-                .clamp(LEAST_PROBABILITY, 1.0 - LEAST_PROBABILITY)
+        let reflects = match (may_reflect, may_refract) {
+            (true, true) => (light.reflect).clamp(LEAST_PROBABILITY, 1.0 - LEAST_PROBABILITY),
+            (true, false) => 1.0,
+            _ => 0.0,
         };
         let kind = if light.transmit <= 0.0 || u < reflects {
             DeltaKind::Reflection

@@ -55,12 +55,14 @@ impl Connector<'_> {
         let (mut from, mut d) = (ray.o, ray.d);
         let (mut hit, mut met) = space.meet(&ray)?;
         let mut like = SmallVec::new();
+        // From this end what may happen is not known; what was not asked for is told at the end.
+        let may = [!self.split.is_published(), true];
         while split.is_caster(met) {
             if like.len() as u32 == split.bounces() {
                 return None;
             }
             let normal = facet(space, met, rng.next_2d());
-            let (here, kind) = self.event(from, d, &hit, normal, rng.next_1d());
+            let (here, kind) = self.event(from, d, &hit, normal, (rng.next_1d(), may));
             like.push((met, kind));
             from = here.si.p;
             (d, hit, met) = space.onward(&here, -d, kind)?;

@@ -5,7 +5,7 @@ use crate::bsdf::{DeltaKind, Material};
 use crate::emitter::{AnyEmitter, Emitter};
 use crate::error::RenderError;
 use crate::params::Theta;
-use crate::scene::{CasterLight, Connections, Hints, Method, Scene, Seen};
+use crate::scene::{CasterLight, Connections, Families, Family, Hints, Method, Scene, Seen};
 use crate::shape::AnyShape;
 
 /// Where a path is on its way over a chain: how many of its last vertices are casters, since it left a receiver. The default
@@ -27,14 +27,28 @@ impl Run {
     /// At no caster, along deltas alone since the camera, where such paths see lights in casters.
     const ALONG: Self = Self(5);
 
-    /// At a receiver, or behind so many casters.
-    fn casters(n: u32) -> Self {
-        Self(n + 6)
+    /// At a receiver, or behind casters, where this happened. The last event is known once the path has left its vertex, if
+    /// it is told ([`Split::leaves`]).
+    fn chain(events: Family) -> Self {
+        Self(events.0 + 5)
+    }
+
+    /// What happened since it left a receiver. `None` on no chain.
+    fn events(self) -> Option<Family> {
+        self.0.checked_sub(6).map(|n| Family(n + 1))
     }
 
     /// Behind how many casters, since it left a receiver. `None` on no chain.
+    #[inline]
     pub fn behind(self) -> Option<u32> {
-        self.0.checked_sub(6)
+        self.events().map(Family::vertices)
+    }
+
+    /// At a caster more, on a chain.
+    #[inline]
+    fn further(self) -> Self {
+        self.events()
+            .map_or(Self::NONE, |events| Self::chain(events.then(false)))
     }
 
     /// As a number, for arrays of them.
@@ -67,6 +81,8 @@ pub struct Split {
     /// Materials that light is refracted by, and not reflected, where others are left out.
     glass: Vec<bool>,
     light: CasterLight,
+    /// Chains that are looked for, where not all are.
+    families: Option<Families>,
     /// Whether chains are found by paths.
     by_paths: bool,
     /// Whose glints others find.
@@ -90,7 +106,7 @@ pub(crate) fn chosen(able: Vec<bool>, flagged: impl Fn(usize) -> bool) -> Vec<bo
 
 /// Whether hints name what takes part in connections like these.
 fn takes_part(connections: &Connections) -> impl Fn(Hints) -> bool + Copy + use<> {
-    let single = connections.bounces == 1;
+    let single = connections.longest() == 1;
     move |hints| hints.single || (hints.multi && !single)
 }
 
@@ -147,12 +163,13 @@ impl Split {
             shining,
             glass: scene.materials().iter().map(|m| refracts(m)).collect(),
             light: connections.light,
+            families: connections.families,
             by_paths: connections.method == Method::Paths,
             glinty: Vec::new(),
             caster_list,
             emitter_list,
             rough,
-            bounces: connections.bounces.clamp(1, Connections::MOST_BOUNCES),
+            bounces: connections.longest(),
         })
     }
 
@@ -179,6 +196,7 @@ impl Split {
             begin: Vec::new(),
             glass: Vec::new(),
             light: CasterLight::All,
+            families: None,
             by_paths: false,
             glinty: Vec::new(),
             caster_list: Vec::new(),
@@ -228,11 +246,11 @@ impl Split {
         if self.is_caster(shape) {
             match run.behind() {
                 Some(0) if along_delta || !self.begins(shape) => self.off(run, along_delta),
-                Some(n) if n < self.bounces => Run::casters(n + 1),
+                Some(n) if n < self.bounces => run.further(),
                 _ => self.off(run, along_delta),
             }
         } else if self.is_receiver(shape) {
-            Run::casters(0)
+            Run::chain(Family::NONE)
         } else if self.sees(run, along_delta) {
             Run::ALONG
         } else {
@@ -260,12 +278,41 @@ impl Split {
     /// Whether [`Split::leaves`] has anything to say.
     #[inline(always)]
     pub fn selects(&self) -> bool {
+        self.families.is_some() || self.is_published()
+    }
+
+    /// Whether some light over casters is left out.
+    #[inline(always)]
+    pub(super) fn is_published(&self) -> bool {
         self.light != CasterLight::All
+    }
+
+    /// Whether a vertex may reflect, and refract, after these of a chain that is looked for.
+    pub(super) fn goes_on(&self, events: Family) -> [bool; 2] {
+        let begins = |refracts: bool| {
+            let further = |families: &Families| families.begins(events.then(refracts));
+            self.families.as_ref().is_none_or(further) && !(self.is_published() && !refracts)
+        };
+        [begins(false), begins(true)]
+    }
+
+    /// Whether chains are looked for on which this happens.
+    #[inline]
+    fn asks_for(&self, events: Family) -> bool {
+        self.families
+            .as_ref()
+            .is_none_or(|families| families.contains(events))
     }
 
     /// A path leaves a vertex of a material, by reflection or not: light behind it may be left out for that.
     #[inline]
     pub fn leaves(&self, run: Run, material: u32, along_delta: bool, reflects: bool) -> Run {
+        let run = match run.events() {
+            Some(events) if self.families.is_some() && !reflects && events != Family::NONE => {
+                Run::chain(events.refracted())
+            }
+            _ => run,
+        };
         let CasterLight::Published(seen) = self.light else {
             return run;
         };
@@ -280,17 +327,30 @@ impl Split {
     /// Whether a chain may begin with this caster.
     #[inline]
     fn begins(&self, shape: u32) -> bool {
-        !self.selects() || self.begin[shape as usize]
+        !self.is_published() || self.begin[shape as usize]
     }
 
     /// Fewest vertices of a chain.
     pub fn fewest(&self) -> u32 {
-        if self.selects() { self.bounces } else { 1 }
+        let shortest = self.families.map_or(1, |families| families.shortest());
+        if self.is_published() {
+            self.bounces
+        } else {
+            shortest
+        }
     }
 
     /// Whether connections look for chains of these vertices, shapes and materials with what happens there, from the receiver on.
-    pub(super) fn takes(&self, like: impl ExactSizeIterator<Item = (u32, u32, DeltaKind)>) -> bool {
-        if !self.selects() {
+    pub(super) fn takes(
+        &self,
+        like: impl ExactSizeIterator<Item = (u32, u32, DeltaKind)> + Clone,
+    ) -> bool {
+        let refracts = |kind: DeltaKind| kind == DeltaKind::Transmission;
+        let events = (like.clone()).fold(Family::NONE, |e, (_, _, kind)| e.then(refracts(kind)));
+        if !self.asks_for(events) {
+            return false;
+        }
+        if !self.is_published() {
             return true;
         }
         let whole = like.len() as u32 == self.bounces;
@@ -301,20 +361,21 @@ impl Split {
         whole && like.enumerate().all(right)
     }
 
-    /// Where a particle is on its way from an emitter over casters to a receiver, [`Split::next`] from the other end: on to a
-    /// shape behind so many casters. `None` where it is on no chain, or at its end.
-    pub fn next_of_particle(&self, casters: u32, shape: u32) -> Option<u32> {
-        (self.is_caster(shape) && casters < self.bounces).then_some(casters + 1)
+    /// Whether a particle from an emitter stays on a chain at a shape behind so many casters: [`Split::next`] from the other end.
+    pub fn takes_particle(&self, casters: u32, shape: u32) -> bool {
+        self.is_caster(shape) && casters < self.bounces
     }
 
     /// [`Split::leaves`] for a particle: whether it stays on a chain.
     pub fn keeps_particle(&self, material: u32, reflects: bool) -> bool {
-        !self.selects() || reflects != self.glass[material as usize]
+        !self.is_published() || reflects != self.glass[material as usize]
     }
 
-    /// Whether a particle ends a chain that lands on a receiver behind so many casters, the last of which is `last`.
-    pub fn lands(&self, casters: u32, last: u32, shape: u32) -> bool {
-        casters >= self.fewest() && self.begins(last) && self.is_receiver(shape)
+    /// Whether a particle ends a chain that lands on a receiver after these events, seen from there, the first of which was at the caster
+    /// `last`.
+    pub fn lands(&self, events: Family, last: u32, shape: u32) -> bool {
+        let whole = events.vertices() >= self.fewest() && self.asks_for(events);
+        whole && self.begins(last) && self.is_receiver(shape)
     }
 
     /// Whether light of this emitter is found over chains.
@@ -352,7 +413,8 @@ impl Split {
     /// Whether light that a path meets there, or samples from there, is that of a whole chain, which connections find.
     #[inline]
     pub fn finds(&self, run: Run, emitter: u32) -> bool {
-        let whole = run.behind().is_some_and(|n| n >= self.fewest());
+        let asked = |events: Family| events.vertices() >= self.fewest() && self.asks_for(events);
+        let whole = run.events().is_some_and(asked);
         whole && self.emitters[emitter as usize] && !self.by_paths
     }
 
@@ -361,7 +423,7 @@ impl Split {
     pub fn excludes(&self, run: Run, emitter: u32) -> bool {
         match run.behind() {
             Some(0) => false,
-            Some(_) if !self.selects() => self.finds(run, emitter),
+            Some(_) if !self.is_published() => self.finds(run, emitter),
             Some(n) => {
                 n < self.bounces || !self.shining[emitter as usize] || self.finds(run, emitter)
             }

@@ -6,12 +6,12 @@ use ad_core::{Dual, Mat2, Vec2, Vec3, block_tridiagonal_solve};
 
 use super::connector::Connector;
 use super::constraint::{self, Facet, equator};
-use super::{Sameness, Solution, Space, Split, Start, Target, Vertex, distinct};
+use super::{Run, Sameness, Solution, Space, Split, Start, Target, Vertex, distinct};
 use crate::bsdf::DeltaKind;
 use crate::math::{Frame, Ray};
 use crate::params::Theta;
 use crate::sampler::{Independent, Sampler};
-use crate::scene::{Connections, Constraint, LoadOptions, Method, Scene, Starts, Steps};
+use crate::scene::{Connections, Constraint, Families, LoadOptions, Method, Scene, Starts, Steps};
 use crate::statistics::{Estimate, z_limit};
 
 fn scene(body: &str) -> Scene {
@@ -595,6 +595,46 @@ fn walks_step_as_they_are_told() {
         ..Steps::default()
     });
     assert!(early.steps <= usual.steps && same(early.solution));
+}
+
+/// Paths leave out what is asked for and nothing else: at most two events at glass, for every set of families of two sizes.
+#[test]
+fn paths_know_the_families_that_are_asked_for() {
+    let setting = Setting::new(over_floor(&glass_ball()));
+    let shape = |shape: u32| (shape, setting.scene.shape_info(shape).material);
+    let [(floor, of_floor), (glass, of_glass)] = [0, 1].map(shape);
+    for asked in ["R", "T", "TT", "R,TT", "RT,TR", "T,RR,TT"] {
+        let families: Families = asked.parse().expect("families");
+        assert_eq!(families.to_string(), asked);
+        let connections = Connections {
+            families: Some(families),
+            ..Connections::new(Method::Sms)
+        };
+        let split = Split::of(&setting.scene, &connections).expect("glass");
+        assert!(split.selects() && split.bounces() == families.longest());
+        for events in ["", "R", "T", "RR", "RT", "TR", "TT", "TTT"] {
+            let run = split.next(Run::default(), floor, true);
+            let mut run = split.leaves(run, of_floor, false, true);
+            let mut along_delta = false;
+            for event in events.chars() {
+                run = split.next(run, glass, along_delta);
+                along_delta = true;
+                run = split.leaves(run, of_glass, true, event == 'R');
+            }
+            let found = asked.split(',').any(|family| family == events);
+            assert_eq!(split.finds(run, 0), found, "{asked}: {events}");
+            assert_eq!(split.excludes(run, 0), found, "{asked}: {events}");
+        }
+    }
+    for (text, wrong) in [
+        ("", "``"),
+        ("TX", "`TX`"),
+        ("T,", "``"),
+        ("RRRRRRRRR", "`RRRRRRRRR`"),
+    ] {
+        let error = text.parse::<Families>().expect_err(text);
+        assert!(error.contains("found ") && error.contains(wrong), "{error}");
+    }
 }
 
 /// Where a point on the floor leaves the caustic of the ring, two of its three solutions meet. Down to 1e-13 of that border they are

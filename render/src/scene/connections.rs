@@ -1,5 +1,8 @@
 //! What a scene says about manifold connections: who throws caustics, who receives them, how they are found.
 
+use std::fmt;
+use std::str::FromStr;
+
 use ad_core::Vec3;
 
 /// How manifold connections are made: paths from a vertex that is not specular over a chain of specular ones to a sampled
@@ -10,6 +13,9 @@ pub struct Connections {
     pub method: Method,
     /// Most specular vertices of a chain, from 1 to [`Connections::MOST_BOUNCES`].
     pub bounces: u32,
+    /// The chains that are looked for, by what happens at their vertices, instead of all of at most `bounces`. Others are left to
+    /// paths.
+    pub families: Option<Families>,
     /// The function whose roots are sought.
     pub constraint: Constraint,
     /// When two walks have ended in the same solution.
@@ -31,6 +37,137 @@ pub struct Connections {
     pub light: CasterLight,
     /// How walks step, and where they end.
     pub steps: Steps,
+}
+
+/// What happened at the vertices of a chain, from the receiver on: a one, and a digit for each vertex, zero for a reflection.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Family(pub(crate) u32);
+
+impl Family {
+    /// Of no vertex.
+    pub const NONE: Self = Self(1);
+    /// They are less than this.
+    const ALL: usize = 2 << Connections::MOST_BOUNCES;
+
+    /// How many vertices.
+    #[inline]
+    pub fn vertices(self) -> u32 {
+        self.0.ilog2()
+    }
+
+    /// The same, and one vertex more, towards the light.
+    #[must_use]
+    #[inline]
+    pub fn then(self, refracts: bool) -> Self {
+        Self(self.0 << 1 | u32::from(refracts))
+    }
+
+    /// The same, and one vertex before all others.
+    #[must_use]
+    pub fn after(self, refracts: bool) -> Self {
+        Self(self.0 + ((1 + u32::from(refracts)) << self.vertices()))
+    }
+
+    /// The same where the last vertex refracts.
+    #[must_use]
+    #[inline]
+    pub(crate) fn refracted(self) -> Self {
+        Self(self.0 | 1)
+    }
+}
+
+/// A set of [`Family`]s.
+///
+/// ```
+/// use render::scene::{Families, Family};
+/// let families: Families = "R,TT".parse()?;
+/// assert_eq!((families.to_string().as_str(), families.longest()), ("R,TT", 2));
+/// assert!(families.contains(Family::NONE.then(true).then(true)));
+/// assert!("R,,T".parse::<Families>().is_err());
+/// # Ok::<(), String>(())
+/// ```
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Families {
+    /// A bit for each, and for what they begin with.
+    set: [u64; Family::ALL / 64],
+    beginnings: [u64; Family::ALL / 64],
+}
+
+fn bit(family: Family) -> (usize, u64) {
+    (family.0 as usize / 64, 1 << (family.0 % 64))
+}
+
+impl Families {
+    /// Whether it has this one.
+    #[inline]
+    pub fn contains(&self, family: Family) -> bool {
+        let (word, bit) = bit(family);
+        self.set[word] & bit != 0
+    }
+
+    /// Whether it has one that begins like this, or is it.
+    #[inline]
+    pub fn begins(&self, family: Family) -> bool {
+        let (word, bit) = bit(family);
+        self.beginnings.get(word).is_some_and(|all| all & bit != 0)
+    }
+
+    fn insert(&mut self, family: Family) {
+        let (word, own) = bit(family);
+        self.set[word] |= own;
+        for k in 0..=family.vertices() {
+            let (word, beginning) = bit(Family(family.0 >> k));
+            self.beginnings[word] |= beginning;
+        }
+    }
+
+    fn all(&self) -> impl Iterator<Item = Family> + '_ {
+        let all = (2..Family::ALL as u32).map(Family);
+        all.filter(|family| self.contains(*family))
+    }
+
+    /// The number of vertices of the shortest chain; zero if there are none.
+    pub fn shortest(&self) -> u32 {
+        self.all().map(Family::vertices).min().unwrap_or(0)
+    }
+
+    /// The number of vertices of the longest chain; zero if there are none.
+    pub fn longest(&self) -> u32 {
+        self.all().map(Family::vertices).max().unwrap_or(0)
+    }
+}
+
+impl FromStr for Families {
+    type Err = String;
+
+    /// Words of `R` and `T`, separated by commas, from the receiver to the light.
+    fn from_str(text: &str) -> Result<Self, String> {
+        let mut families = Self::default();
+        for word in text.split(',') {
+            let most = Connections::MOST_BOUNCES as usize;
+            let letters = word.chars().all(|c| c == 'R' || c == 'T');
+            if !letters || !(1..=most).contains(&word.len()) {
+                return Err(format!(
+                    "expected words of 1 to {most} letters R (reflection) and T (refraction), from the receiver to the light, \
+                     such as R,TT; found `{word}`"
+                ));
+            }
+            families.insert(word.chars().fold(Family::NONE, |f, c| f.then(c == 'T')));
+        }
+        Ok(families)
+    }
+}
+
+impl fmt::Display for Families {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        for (i, family) in self.all().enumerate() {
+            f.write_str(if i > 0 { "," } else { "" })?;
+            for k in (0..family.vertices()).rev() {
+                f.write_str(if family.0 >> k & 1 == 1 { "T" } else { "R" })?;
+            }
+        }
+        Ok(())
+    }
 }
 
 /// How walks step, and where they end: Newton's method, whose step is halved while it leaves a larger constraint.
@@ -158,9 +295,17 @@ impl Connections {
     /// Largest trial set.
     pub const MOST_WALKS: u32 = 1 << 20;
     /// A proof takes several times as long as a walk, and succeeds nearly always.
-    pub const PROOFS: u32 = 64;
+    pub const PROOFS: u32 = 256;
     /// Size of a trial set by default [Zeltner 2021, figure 3.13].
     pub const TRIALS: u32 = 16;
+
+    /// Most specular vertices of a chain: of these families, if any are named.
+    pub fn longest(&self) -> u32 {
+        let longest = self
+            .families
+            .map_or(self.bounces, |families| families.longest());
+        longest.clamp(1, Self::MOST_BOUNCES)
+    }
 
     /// Whether a proof is made for a walk that ended in this direction: a function of its last digits.
     pub(crate) fn proves(&self, d: Vec3<f64>) -> bool {
@@ -174,6 +319,7 @@ impl Connections {
         Self {
             method,
             bounces: 2,
+            families: None,
             constraint: Constraint::default(),
             uniqueness: Uniqueness::default(),
             proofs: Self::PROOFS,
