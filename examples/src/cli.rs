@@ -24,7 +24,7 @@ use render::manifold::{Split, Statistics};
 use render::params::{ParamInfo, ParamShape};
 use render::sampler::Points;
 use render::scene::{
-    CasterLight, Caustics, Connections, Constraint, Families, GlintMethod, GlintRegion,
+    CasterLight, Caustics, ChainKinds, Connections, Constraint, GlintMethod, GlintRegion,
     GlintWeights, Glints, LightChoice, LoadOptions, Method, Starts, Uniqueness,
 };
 use render::{RenderError, Scene, SceneError, Settings, image_io};
@@ -499,7 +499,7 @@ const POINTS: Points = Points::Sobol;
 /// `--chains`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
-pub struct Chains(Families);
+pub struct Chains(ChainKinds);
 
 impl FromStr for Chains {
     type Err = String;
@@ -518,8 +518,8 @@ impl TryFrom<String> for Chains {
 }
 
 impl From<Chains> for String {
-    fn from(Chains(families): Chains) -> Self {
-        families.to_string()
+    fn from(Chains(kinds): Chains) -> Self {
+        kinds.to_string()
     }
 }
 
@@ -820,7 +820,7 @@ impl ManifoldArgs {
         }
         let mut connections = Connections::new(method);
         connections.bounces = self.bounces.unwrap_or(connections.bounces);
-        connections.families = self.chains.map(|Chains(families)| families);
+        connections.kinds = self.chains.map(|Chains(kinds)| kinds);
         if let (Method::Sms, Some(trials)) = (method, self.trials) {
             connections.budget = trials;
         }
@@ -1002,7 +1002,7 @@ impl ManifoldReport {
                 && s.exhausted == 0
                 && connections.uniqueness == Uniqueness::ErrorBounds,
             bounces: connections.longest(),
-            chains: connections.families.map(|families| families.to_string()),
+            chains: connections.kinds.map(|kinds| kinds.to_string()),
             other_light: connections.light == CasterLight::All,
             walks: WalkReport::of(s),
             proved: s.proved,

@@ -325,13 +325,13 @@ fn by_chains(s: &Scene, connections: Connections, runs: u64, spp: u64) -> Estima
 }
 
 /// Chains that are asked for by their events bring their light and no other: images are those of paths alone in each case, the light of
-/// all families is that of all chains, and that of some is less. 48
+/// all kinds is that of all chains, and that of some is less. 48
 /// runs of 16 samples against 48 of 256, and 24 of 64; significance 1e-3 over all comparisons.
 #[test]
 #[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
 fn chains_that_are_asked_for_bring_their_light() {
     let asked = |chains: &str| Connections {
-        families: Some(chains.parse().expect("chains")),
+        kinds: Some(chains.parse().expect("chains")),
         ..Connections::new(Method::Sms)
     };
     let scenes = [
@@ -366,7 +366,7 @@ fn chains_that_are_asked_for_bring_their_light() {
         let all = by_chains(&s, sms(2), 24, 64);
         let sum = by_chains(&s, asked("R,T,RR,RT,TR,TT"), 24, 64);
         let z = sum.z(&all);
-        println!("{name}: {all:?}, family by family {sum:?}");
+        println!("{name}: {all:?}, kind by kind {sum:?}");
         assert!(z.abs() < limit && all.mean > limit * all.se, "{name}: {z}");
         let less = by_chains(&s, asked(each[1]), 24, 64);
         assert!(

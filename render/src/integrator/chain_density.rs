@@ -26,7 +26,7 @@ use crate::math::Rgb;
 use crate::parallel;
 use crate::params::Theta;
 use crate::sampler::Sampler;
-use crate::scene::{Family, Scene, Settings};
+use crate::scene::{ChainKind, Scene, Settings};
 
 /// Within the radius there are this many particles around half of all particles.
 const NEIGHBOURS: usize = 8;
@@ -48,7 +48,7 @@ struct ChainKeeper<'a, P: Float> {
     scene: &'a Scene,
     split: &'a Split,
     /// What happened at casters so far, seen from its end, as long as it is on a chain; and whether it is at one.
-    events: Option<Family>,
+    events: Option<ChainKind>,
     at_caster: bool,
     /// The last of them: its index, its material, and the side that the particle came from.
     last: (u32, u32, P),
@@ -77,7 +77,7 @@ impl<P: Float> Observer<P> for ChainKeeper<'_, P> {
     fn contribution(&mut self, contribution: Contribution<P>) {
         if let Contribution::Emitted(light) = contribution {
             let connected = self.split.is_connected(light.emitter);
-            (self.events, self.at_caster) = (connected.then_some(Family::NONE), false);
+            (self.events, self.at_caster) = (connected.then_some(ChainKind::NONE), false);
         }
         if let (Contribution::Scattered(bounce), true) = (&contribution, self.at_caster) {
             let (_, material, wo_z) = self.last;

@@ -19,7 +19,7 @@ use crate::bsdf::{Bsdf, DeltaKind, Shading, TransportMode, fresnel};
 use crate::emitter::{Ball, Emission, Emitter};
 use crate::math::{NOWHERE, Ray, Rgb};
 use crate::sampler::{Independent, Sampler};
-use crate::scene::{Connections, Family, Method, Starts, Uniqueness};
+use crate::scene::{ChainKind, Connections, Method, Starts, Uniqueness};
 use crate::shape::{Shape, SurfaceInteraction};
 
 /// A start goes on over a further caster, or over either event of glass, at least as often as this, so that every chain
@@ -147,6 +147,8 @@ pub struct Connector<'a> {
     /// Of normal maps, by shape, where walks have two stages.
     slopes: Vec<Option<Slopes>>,
     pub(super) landings: Landings,
+    /// How often starts go to each caster or one before it in the list; empty where all are alike.
+    pub(super) reach: Vec<f64>,
 }
 
 /// Which facets of rough surfaces scatter.
@@ -202,6 +204,7 @@ impl<'a> Connector<'a> {
             around: space.scene.shapes().iter().zip(0..).map(around).collect(),
             slopes,
             landings: Landings::default(),
+            reach: Vec::new(),
         }
     }
 
@@ -389,6 +392,16 @@ impl<'a> Connector<'a> {
         let casters = &self.split.caster_list;
         let choice = (rng.next_1d::<f64>() * casters.len() as f64) as usize;
         casters[choice.min(casters.len() - 1)]
+    }
+
+    /// The caster that a start goes to: mostly one that light reaches, as particles show.
+    fn reached_caster(&self, rng: &mut Independent) -> u32 {
+        if self.reach.is_empty() {
+            return self.any_caster(rng);
+        }
+        let u = rng.next_1d::<f64>();
+        let i = self.reach.partition_point(|&part| part <= u);
+        self.split.caster_list[i.min(self.reach.len() - 1)]
     }
 
     /// A point of a light: any of them equally often.
@@ -594,7 +607,7 @@ impl<'a> Connector<'a> {
         mut normal: impl FnMut(u32, usize, &mut Independent) -> Normal,
     ) -> Option<Seed> {
         let &Estimate { start, most, .. } = estimate;
-        let shape = &self.space.scene.shapes()[self.any_caster(rng) as usize];
+        let shape = &self.space.scene.shapes()[self.reached_caster(rng) as usize];
         let seed = shape.sample(start.si.p, rng.next_2d::<f64>())?.d;
         let (hit, met) = self.space.meet(&start.si.spawn_ray(seed, start.exit))?;
         if !self.split.is_caster(met) {
@@ -616,7 +629,9 @@ impl<'a> Connector<'a> {
             // What is met, and where light goes on, is looked up only where something depends on it.
             if !last || refracts(self.space.scene.material(met)) {
                 let refracted = |e: &Event| e.kind == DeltaKind::Transmission;
-                let before = like.iter().fold(Family::NONE, |f, e| f.then(refracted(e)));
+                let before = like
+                    .iter()
+                    .fold(ChainKind::NONE, |f, e| f.then(refracted(e)));
                 let may = self.split.goes_on(before);
                 let (here, kind) = self.event(from, d, &hit, scatters, (u, may));
                 event.kind = kind;

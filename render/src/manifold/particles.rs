@@ -13,6 +13,8 @@ use crate::shape::Shape;
 
 /// Particles are traced in this many jobs, whatever the number of threads.
 const JOBS: usize = 64;
+/// This part of starts goes to all casters alike, whether or not light was seen to reach them.
+const PART_ALIKE: f64 = 0.5;
 
 impl Connector<'_> {
     /// Traces so many particles, and remembers where they landed: a function of the seed. They are aimed at casters.
@@ -29,8 +31,27 @@ impl Connector<'_> {
         });
         let all = parts.concat();
         if all.len() >= FEWEST {
+            self.reach = self.reach_of(&all);
             self.landings = Landings::new(all);
         }
+    }
+
+    /// How often starts go to each caster or one before it: half of them as particles left it for a receiver, the others to all alike,
+    /// so that no solution is out of reach.
+    fn reach_of(&self, landings: &[Landing]) -> Vec<f64> {
+        let casters = &self.split.caster_list;
+        let mut left = vec![0u32; self.space.scene.shapes().len()];
+        for landing in landings {
+            left[landing.like[0].0 as usize] += 1;
+        }
+        let alike = PART_ALIKE / casters.len() as f64;
+        let each = (1.0 - PART_ALIKE) / landings.len() as f64;
+        let mut sum = 0.0;
+        let part = |&caster: &u32| {
+            sum += alike + each * f64::from(left[caster as usize]);
+            sum
+        };
+        casters.iter().map(part).collect()
     }
 
     /// A particle from a light over casters to a receiver, if it gets there.

@@ -5,7 +5,7 @@ use crate::bsdf::{DeltaKind, Material};
 use crate::emitter::{AnyEmitter, Emitter};
 use crate::error::RenderError;
 use crate::params::Theta;
-use crate::scene::{CasterLight, Connections, Families, Family, Hints, Method, Scene, Seen};
+use crate::scene::{CasterLight, ChainKind, ChainKinds, Connections, Hints, Method, Scene, Seen};
 use crate::shape::AnyShape;
 
 /// Where a path is on its way over a chain: how many of its last vertices are casters, since it left a receiver. The default
@@ -29,19 +29,19 @@ impl Run {
 
     /// At a receiver, or behind casters, where this happened. The last event is known once the path has left its vertex, if
     /// it is told ([`Split::leaves`]).
-    fn chain(events: Family) -> Self {
+    fn chain(events: ChainKind) -> Self {
         Self(events.0 + 5)
     }
 
     /// What happened since it left a receiver. `None` on no chain.
-    fn events(self) -> Option<Family> {
-        self.0.checked_sub(6).map(|n| Family(n + 1))
+    fn events(self) -> Option<ChainKind> {
+        self.0.checked_sub(6).map(|n| ChainKind(n + 1))
     }
 
     /// Behind how many casters, since it left a receiver. `None` on no chain.
     #[inline]
     pub fn behind(self) -> Option<u32> {
-        self.events().map(Family::vertices)
+        self.events().map(ChainKind::vertices)
     }
 
     /// At a caster more, on a chain.
@@ -82,7 +82,7 @@ pub struct Split {
     glass: Vec<bool>,
     light: CasterLight,
     /// Chains that are looked for, where not all are.
-    families: Option<Families>,
+    kinds: Option<ChainKinds>,
     /// Whether chains are found by paths.
     by_paths: bool,
     /// Whose glints others find.
@@ -163,7 +163,7 @@ impl Split {
             shining,
             glass: scene.materials().iter().map(|m| refracts(m)).collect(),
             light: connections.light,
-            families: connections.families,
+            kinds: connections.kinds,
             by_paths: connections.method == Method::Paths,
             glinty: Vec::new(),
             caster_list,
@@ -196,7 +196,7 @@ impl Split {
             begin: Vec::new(),
             glass: Vec::new(),
             light: CasterLight::All,
-            families: None,
+            kinds: None,
             by_paths: false,
             glinty: Vec::new(),
             caster_list: Vec::new(),
@@ -250,7 +250,7 @@ impl Split {
                 _ => self.off(run, along_delta),
             }
         } else if self.is_receiver(shape) {
-            Run::chain(Family::NONE)
+            Run::chain(ChainKind::NONE)
         } else if self.sees(run, along_delta) {
             Run::ALONG
         } else {
@@ -278,7 +278,7 @@ impl Split {
     /// Whether [`Split::leaves`] has anything to say.
     #[inline(always)]
     pub fn selects(&self) -> bool {
-        self.families.is_some() || self.is_published()
+        self.kinds.is_some() || self.is_published()
     }
 
     /// Whether some light over casters is left out.
@@ -288,27 +288,27 @@ impl Split {
     }
 
     /// Whether a vertex may reflect, and refract, after these of a chain that is looked for.
-    pub(super) fn goes_on(&self, events: Family) -> [bool; 2] {
+    pub(super) fn goes_on(&self, events: ChainKind) -> [bool; 2] {
         let begins = |refracts: bool| {
-            let further = |families: &Families| families.begins(events.then(refracts));
-            self.families.as_ref().is_none_or(further) && !(self.is_published() && !refracts)
+            let further = |kinds: &ChainKinds| kinds.begins(events.then(refracts));
+            self.kinds.as_ref().is_none_or(further) && !(self.is_published() && !refracts)
         };
         [begins(false), begins(true)]
     }
 
     /// Whether chains are looked for on which this happens.
     #[inline]
-    fn asks_for(&self, events: Family) -> bool {
-        self.families
+    fn asks_for(&self, events: ChainKind) -> bool {
+        self.kinds
             .as_ref()
-            .is_none_or(|families| families.contains(events))
+            .is_none_or(|kinds| kinds.contains(events))
     }
 
     /// A path leaves a vertex of a material, by reflection or not: light behind it may be left out for that.
     #[inline]
     pub fn leaves(&self, run: Run, material: u32, along_delta: bool, reflects: bool) -> Run {
         let run = match run.events() {
-            Some(events) if self.families.is_some() && !reflects && events != Family::NONE => {
+            Some(events) if self.kinds.is_some() && !reflects && events != ChainKind::NONE => {
                 Run::chain(events.refracted())
             }
             _ => run,
@@ -332,7 +332,7 @@ impl Split {
 
     /// Fewest vertices of a chain.
     pub fn fewest(&self) -> u32 {
-        let shortest = self.families.map_or(1, |families| families.shortest());
+        let shortest = self.kinds.map_or(1, |kinds| kinds.shortest());
         if self.is_published() {
             self.bounces
         } else {
@@ -346,7 +346,7 @@ impl Split {
         like: impl ExactSizeIterator<Item = (u32, u32, DeltaKind)> + Clone,
     ) -> bool {
         let refracts = |kind: DeltaKind| kind == DeltaKind::Transmission;
-        let events = (like.clone()).fold(Family::NONE, |e, (_, _, kind)| e.then(refracts(kind)));
+        let events = (like.clone()).fold(ChainKind::NONE, |e, (_, _, kind)| e.then(refracts(kind)));
         if !self.asks_for(events) {
             return false;
         }
@@ -373,7 +373,7 @@ impl Split {
 
     /// Whether a particle ends a chain that lands on a receiver after these events, seen from there, the first of which was at the caster
     /// `last`.
-    pub fn lands(&self, events: Family, last: u32, shape: u32) -> bool {
+    pub fn lands(&self, events: ChainKind, last: u32, shape: u32) -> bool {
         let whole = events.vertices() >= self.fewest() && self.asks_for(events);
         whole && self.begins(last) && self.is_receiver(shape)
     }
@@ -413,7 +413,7 @@ impl Split {
     /// Whether light that a path meets there, or samples from there, is that of a whole chain, which connections find.
     #[inline]
     pub fn finds(&self, run: Run, emitter: u32) -> bool {
-        let asked = |events: Family| events.vertices() >= self.fewest() && self.asks_for(events);
+        let asked = |events: ChainKind| events.vertices() >= self.fewest() && self.asks_for(events);
         let whole = run.events().is_some_and(asked);
         whole && self.emitters[emitter as usize] && !self.by_paths
     }

@@ -12,7 +12,9 @@ use crate::bsdf::DeltaKind;
 use crate::math::{Frame, Ray};
 use crate::params::Theta;
 use crate::sampler::{Independent, Sampler};
-use crate::scene::{Connections, Constraint, Families, LoadOptions, Method, Scene, Starts, Steps};
+use crate::scene::{
+    ChainKinds, Connections, Constraint, LoadOptions, Method, Scene, Starts, Steps,
+};
 use crate::statistics::{Estimate, z_limit};
 
 fn scene(body: &str) -> Scene {
@@ -605,21 +607,21 @@ fn walks_step_as_they_are_told() {
     assert!(early.steps <= usual.steps && same(early.solution));
 }
 
-/// Paths leave out what is asked for and nothing else: at most two events at glass, for every set of families of two sizes.
+/// Paths leave out what is asked for and nothing else: at most two events at glass, for sets of kinds of two sizes.
 #[test]
-fn paths_know_the_families_that_are_asked_for() {
+fn paths_know_the_chains_that_are_asked_for() {
     let setting = Setting::new(over_floor(&glass_ball()));
     let shape = |shape: u32| (shape, setting.scene.shape_info(shape).material);
     let [(floor, of_floor), (glass, of_glass)] = [0, 1].map(shape);
     for asked in ["R", "T", "TT", "R,TT", "RT,TR", "T,RR,TT"] {
-        let families: Families = asked.parse().expect("families");
-        assert_eq!(families.to_string(), asked);
+        let kinds: ChainKinds = asked.parse().expect("kinds of chains");
+        assert_eq!(kinds.to_string(), asked);
         let connections = Connections {
-            families: Some(families),
+            kinds: Some(kinds),
             ..Connections::new(Method::Sms)
         };
         let split = Split::of(&setting.scene, &connections).expect("glass");
-        assert!(split.selects() && split.bounces() == families.longest());
+        assert!(split.selects() && split.bounces() == kinds.longest());
         for events in ["", "R", "T", "RR", "RT", "TR", "TT", "TTT"] {
             let run = split.next(Run::default(), floor, true);
             let mut run = split.leaves(run, of_floor, false, true);
@@ -629,7 +631,7 @@ fn paths_know_the_families_that_are_asked_for() {
                 along_delta = true;
                 run = split.leaves(run, of_glass, true, event == 'R');
             }
-            let found = asked.split(',').any(|family| family == events);
+            let found = asked.split(',').any(|kind| kind == events);
             assert_eq!(split.finds(run, 0), found, "{asked}: {events}");
             assert_eq!(split.excludes(run, 0), found, "{asked}: {events}");
         }
@@ -640,7 +642,7 @@ fn paths_know_the_families_that_are_asked_for() {
         ("T,", "``"),
         ("RRRRRRRRR", "`RRRRRRRRR`"),
     ] {
-        let error = text.parse::<Families>().expect_err(text);
+        let error = text.parse::<ChainKinds>().expect_err(text);
         assert!(error.contains("found ") && error.contains(wrong), "{error}");
     }
 }

@@ -15,7 +15,7 @@ pub struct Connections {
     pub bounces: u32,
     /// The chains that are looked for, by what happens at their vertices, instead of all of at most `bounces`. Others are left to
     /// paths.
-    pub families: Option<Families>,
+    pub kinds: Option<ChainKinds>,
     /// The function whose roots are sought.
     pub constraint: Constraint,
     /// When two walks have ended in the same solution.
@@ -41,9 +41,9 @@ pub struct Connections {
 
 /// What happened at the vertices of a chain, from the receiver on: a one, and a digit for each vertex, zero for a reflection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Family(pub(crate) u32);
+pub struct ChainKind(pub(crate) u32);
 
-impl Family {
+impl ChainKind {
     /// Of no vertex.
     pub const NONE: Self = Self(1);
     /// They are less than this.
@@ -76,73 +76,73 @@ impl Family {
     }
 }
 
-/// A set of [`Family`]s.
+/// A set of [`ChainKind`]s.
 ///
 /// ```
-/// use render::scene::{Families, Family};
-/// let families: Families = "R,TT".parse()?;
-/// assert_eq!((families.to_string().as_str(), families.longest()), ("R,TT", 2));
-/// assert!(families.contains(Family::NONE.then(true).then(true)));
-/// assert!("R,,T".parse::<Families>().is_err());
+/// use render::scene::{ChainKinds, ChainKind};
+/// let kinds: ChainKinds = "R,TT".parse()?;
+/// assert_eq!((kinds.to_string().as_str(), kinds.longest()), ("R,TT", 2));
+/// assert!(kinds.contains(ChainKind::NONE.then(true).then(true)));
+/// assert!("R,,T".parse::<ChainKinds>().is_err());
 /// # Ok::<(), String>(())
 /// ```
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Families {
+pub struct ChainKinds {
     /// A bit for each, and for what they begin with.
-    set: [u64; Family::ALL / 64],
-    beginnings: [u64; Family::ALL / 64],
+    set: [u64; ChainKind::ALL / 64],
+    beginnings: [u64; ChainKind::ALL / 64],
 }
 
-fn bit(family: Family) -> (usize, u64) {
-    (family.0 as usize / 64, 1 << (family.0 % 64))
+fn bit(kind: ChainKind) -> (usize, u64) {
+    (kind.0 as usize / 64, 1 << (kind.0 % 64))
 }
 
-impl Families {
+impl ChainKinds {
     /// Whether it has this one.
     #[inline]
-    pub fn contains(&self, family: Family) -> bool {
-        let (word, bit) = bit(family);
+    pub fn contains(&self, kind: ChainKind) -> bool {
+        let (word, bit) = bit(kind);
         self.set[word] & bit != 0
     }
 
     /// Whether it has one that begins like this, or is it.
     #[inline]
-    pub fn begins(&self, family: Family) -> bool {
-        let (word, bit) = bit(family);
+    pub fn begins(&self, kind: ChainKind) -> bool {
+        let (word, bit) = bit(kind);
         self.beginnings.get(word).is_some_and(|all| all & bit != 0)
     }
 
-    fn insert(&mut self, family: Family) {
-        let (word, own) = bit(family);
+    fn insert(&mut self, kind: ChainKind) {
+        let (word, own) = bit(kind);
         self.set[word] |= own;
-        for k in 0..=family.vertices() {
-            let (word, beginning) = bit(Family(family.0 >> k));
+        for k in 0..=kind.vertices() {
+            let (word, beginning) = bit(ChainKind(kind.0 >> k));
             self.beginnings[word] |= beginning;
         }
     }
 
-    fn all(&self) -> impl Iterator<Item = Family> + '_ {
-        let all = (2..Family::ALL as u32).map(Family);
-        all.filter(|family| self.contains(*family))
+    fn all(&self) -> impl Iterator<Item = ChainKind> + '_ {
+        let all = (2..ChainKind::ALL as u32).map(ChainKind);
+        all.filter(|kind| self.contains(*kind))
     }
 
     /// The number of vertices of the shortest chain; zero if there are none.
     pub fn shortest(&self) -> u32 {
-        self.all().map(Family::vertices).min().unwrap_or(0)
+        self.all().map(ChainKind::vertices).min().unwrap_or(0)
     }
 
     /// The number of vertices of the longest chain; zero if there are none.
     pub fn longest(&self) -> u32 {
-        self.all().map(Family::vertices).max().unwrap_or(0)
+        self.all().map(ChainKind::vertices).max().unwrap_or(0)
     }
 }
 
-impl FromStr for Families {
+impl FromStr for ChainKinds {
     type Err = String;
 
     /// Words of `R` and `T`, separated by commas, from the receiver to the light.
     fn from_str(text: &str) -> Result<Self, String> {
-        let mut families = Self::default();
+        let mut kinds = Self::default();
         for word in text.split(',') {
             let most = Connections::MOST_BOUNCES as usize;
             let letters = word.chars().all(|c| c == 'R' || c == 'T');
@@ -152,18 +152,18 @@ impl FromStr for Families {
                      such as R,TT; found `{word}`"
                 ));
             }
-            families.insert(word.chars().fold(Family::NONE, |f, c| f.then(c == 'T')));
+            kinds.insert(word.chars().fold(ChainKind::NONE, |f, c| f.then(c == 'T')));
         }
-        Ok(families)
+        Ok(kinds)
     }
 }
 
-impl fmt::Display for Families {
+impl fmt::Display for ChainKinds {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        for (i, family) in self.all().enumerate() {
+        for (i, kind) in self.all().enumerate() {
             f.write_str(if i > 0 { "," } else { "" })?;
-            for k in (0..family.vertices()).rev() {
-                f.write_str(if family.0 >> k & 1 == 1 { "T" } else { "R" })?;
+            for k in (0..kind.vertices()).rev() {
+                f.write_str(if kind.0 >> k & 1 == 1 { "T" } else { "R" })?;
             }
         }
         Ok(())
@@ -299,11 +299,9 @@ impl Connections {
     /// Size of a trial set by default [Zeltner 2021, figure 3.13].
     pub const TRIALS: u32 = 16;
 
-    /// Most specular vertices of a chain: of these families, if any are named.
+    /// Most specular vertices of a chain: of these kinds, if any are named.
     pub fn longest(&self) -> u32 {
-        let longest = self
-            .families
-            .map_or(self.bounces, |families| families.longest());
+        let longest = self.kinds.map_or(self.bounces, |kinds| kinds.longest());
         longest.clamp(1, Self::MOST_BOUNCES)
     }
 
@@ -319,7 +317,7 @@ impl Connections {
         Self {
             method,
             bounces: 2,
-            families: None,
+            kinds: None,
             constraint: Constraint::default(),
             uniqueness: Uniqueness::default(),
             proofs: Self::PROOFS,

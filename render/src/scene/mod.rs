@@ -26,8 +26,8 @@ use geometry::Geometry;
 pub use builder::Builder;
 pub use check::{Check, Finding, Outcome, Verdict};
 pub use connections::{
-    CasterLight, Connections, Constraint, Families, Family, Hints, Method, Seen, Starts, Steps,
-    Uniqueness,
+    CasterLight, ChainKind, ChainKinds, Connections, Constraint, Hints, Method, Seen, Starts,
+    Steps, Uniqueness,
 };
 pub use glints::{GlintMethod, GlintRegion, GlintTechniques, GlintWeights, Glints};
 pub use load::LoadOptions;
