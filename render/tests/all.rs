@@ -19,6 +19,7 @@ mod obj;
 mod old_scenes;
 mod ply;
 mod projectors;
+mod reparameterisation;
 mod save;
 mod scales;
 mod scene_xml;
