@@ -7,11 +7,12 @@ use render::SceneError;
 use render::accel::Accel;
 use render::math::Transform;
 use render::params::Theta;
+use render::sampler::{Independent, Sampler};
 use render::shape::{Mesh, MeshData, ObjOptions, Shape};
 
 use crate::common::{
     self,
-    shapes::{assert_near, bent_mesh, interact},
+    shapes::{assert_near, bent_mesh, interact, vec3},
 };
 
 fn obj(text: &str) -> Result<Mesh, SceneError> {

@@ -1,15 +1,15 @@
 //! How surfaces and their normals change over surface coordinates, with normal maps and without.
 
-use ad_core::{Dual, Vec2, Vec3};
+use ad_core::{Dual, Float, Vec2, Vec3};
 use render::math::Transform;
 use render::params::Theta;
 use render::sampler::{Independent, Sampler};
 use render::scene::Builder;
 use render::shape::{
-    AnyShape, Mesh, MeshData, Partials, Shape, Sphere, SurfaceCoordinates, SurfaceInteraction,
+    AnyShape, Disk, Mesh, Partials, Shape, Sphere, SurfaceCoordinates, SurfaceInteraction,
 };
 
-use crate::common::shapes::{Tracer, all_shapes, curves, rays};
+use crate::common::shapes::{Tracer, affine, all_shapes, bent_mesh, curves, rays};
 
 /// Position, normal and first axis, as functions of the surface coordinates, and the texture coordinates.
 fn bends(at: &SurfaceInteraction<f64>) -> [Vec3<f64>; 3] {

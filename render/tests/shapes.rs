@@ -3,7 +3,7 @@
 use std::f64::consts::PI;
 use std::path::Path;
 
-use ad_core::{Dual, Float, Real, Vec2, Vec3};
+use ad_core::{Dual, Float, Real, Vec3};
 use render::SceneError;
 use render::math::{Ray, Transform};
 use render::params::Theta;

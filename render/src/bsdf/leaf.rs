@@ -16,7 +16,7 @@ pub trait Leaf: Send + Sync {
     fn lobe<R: Real>(&self, read: &mut impl Reader<R>) -> Self::Lobe<R>;
     /// Whether it scatters along deltas only, so that connecting it to a light is pointless.
     const DELTA: bool = false;
-    /// Whether light may pass to the other side, so that it has no place in [`TwoSided`].
+    /// Whether light may pass to the other side, so that it has no place in [`super::TwoSided`].
     fn transmits(&self) -> bool {
         false
     }

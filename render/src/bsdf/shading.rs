@@ -59,7 +59,7 @@ impl<'a, R: Real> Shading<'a, R> {
         }
     }
 
-    /// How long dp/du and dp/dv are, as far as that is known: [`Charted`].
+    /// How long dp/du and dp/dv are, as far as that is known: [`super::Charted`].
     #[inline]
     pub(crate) fn stretch(&self) -> chart::Stretch<R> {
         self.on.map_or(chart::Stretch::unit(), |on| {
