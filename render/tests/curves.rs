@@ -14,7 +14,7 @@ use render::statistics::{Estimate, z_limit};
 use render::{Job, Scene};
 
 use crate::common;
-use crate::shapes::{Tracer, curves, rays};
+use crate::common::shapes::{Tracer, curves, rays};
 
 /// Centre, first derivative, radius and its derivative of a span of a uniform cubic B-spline, by its basis functions.
 fn span(points: &[[f32; 4]], u: f64) -> (Vec3<f64>, Vec3<f64>, f64, f64) {

@@ -27,7 +27,7 @@ pub struct Optimizer {
 #[pymethods]
 impl Optimizer {
     #[new]
-    #[pyo3(signature = (scene, keys, rate = None, method = "adam", rates = None))]
+    #[pyo3(signature = (scene, keys, *, rate = None, method = "adam", rates = None))]
     fn new(
         py: Python<'_>,
         scene: Py<Scene>,

@@ -728,7 +728,7 @@ impl Scene {
     /// seed gives the same bits. `sensor` is what it is seen through, at its resolution and with its samples per pixel;
     /// nobody else can use the scene meanwhile where it is not the scene's own. `estimator` chooses the techniques.
     /// `progress` is called with the part that is done.
-    #[pyo3(signature = (spp = None, seed = 0, sensor = None, *, estimator = "mis", double = false, progress = None))]
+    #[pyo3(signature = (*, spp = None, seed = 0, sensor = None, estimator = "mis", double = false, progress = None))]
     #[expect(clippy::too_many_arguments, reason = "Python names them")]
     fn render<'py>(
         &self,
@@ -766,7 +766,7 @@ impl Scene {
 
     /// How much of each pixel is covered, height x width: the fourth channel of the image with the same samples and seed.
     /// Everything is where the sky is seen, unless `hide_emitters` is set.
-    #[pyo3(signature = (spp = None, seed = 0, sensor = None))]
+    #[pyo3(signature = (*, spp = None, seed = 0, sensor = None))]
     fn alpha<'py>(
         &self,
         py: Python<'py>,
@@ -790,7 +790,7 @@ impl Scene {
     /// `adjoint` is the derivative of an objective in every entry of the image, as `loss` gives it. It has to come from an
     /// image with another seed than this one; the defaults of `render` and of this differ. Without keys: all parameters
     /// that the estimator sees. `*` and `?` in a key stand for any text and any character. `sensor` as in `render`.
-    #[pyo3(signature = (adjoint, keys = None, estimator = "mis", spp = None, seed = 1, sensor = None, *, progress = None))]
+    #[pyo3(signature = (adjoint, keys = None, *, estimator = "mis", spp = None, seed = 1, sensor = None, progress = None))]
     #[expect(clippy::too_many_arguments, reason = "Python names them")]
     fn backward<'py>(
         &self,
@@ -840,7 +840,7 @@ impl Scene {
     ///
     /// Colours do not mix: moving all channels of a colour gives, in channel c, the derivative in channel c.
     /// Names may be patterns, as in `backward`. `sensor` as in `render`.
-    #[pyo3(signature = (directions, estimator = "mis", spp = None, seed = 1, sensor = None, *, progress = None))]
+    #[pyo3(signature = (directions, *, estimator = "mis", spp = None, seed = 1, sensor = None, progress = None))]
     #[expect(clippy::too_many_arguments, reason = "Python names them")]
     fn forward<'py>(
         &self,
@@ -875,7 +875,7 @@ impl Scene {
     /// be told at this budget: `spp` samples per pixel in each of `repeats` repeats. The objective is the mean of all pixels
     /// and channels, unless an `adjoint` is given. A derivative is right if an error of `tolerance`, relative to the others
     /// of its parameter, would have been noticed. The scene cannot be used by others meanwhile.
-    #[pyo3(signature = (keys = None, estimator = "mis", *, adjoint = None, spp = None, repeats = 32, tolerance = 0.1,
+    #[pyo3(signature = (keys = None, *, estimator = "mis", adjoint = None, spp = None, repeats = 32, tolerance = 0.1,
                         significance = 1e-3, seed = 0, sensor = None, progress = None))]
     #[expect(clippy::too_many_arguments, reason = "Python names them")]
     fn check<'py>(

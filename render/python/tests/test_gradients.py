@@ -52,12 +52,12 @@ def test_every_estimator_is_named_with_what_it_refuses(room: rg.Scene) -> None:
     assert "discontinuities" in room.refusal("attached")
     adjoint = np.ones((*room.size, 3))
     with pytest.raises(ValueError, match="discontinuities"):
-        room.backward(adjoint, WALL, "attached")
+        room.backward(adjoint, WALL, estimator="attached")
     with pytest.raises(ValueError, match="discontinuities"):
-        room.forward(WALL, "attached")
-    assert room.backward(adjoint, WALL, "auto")[WALL].shape == (3,)
+        room.forward(WALL, estimator="attached")
+    assert room.backward(adjoint, WALL, estimator="auto")[WALL].shape == (3,)
     with pytest.raises(ValueError, match="unknown estimator `miss`; closest: mis; known: auto, emitter"):
-        room.backward(adjoint, WALL, "miss")
+        room.backward(adjoint, WALL, estimator="miss")
     glass = rg.load_string(
         """<scene version="3.0.0"><sensor type="perspective"><float name="fov" value="40"/>
         <film type="hdrfilm"><integer name="width" value="2"/><integer name="height" value="2"/></film></sensor>
@@ -113,10 +113,10 @@ def test_losses() -> None:
 
 def test_a_colour_and_a_roughness_are_recovered() -> None:
     scene = rg.room(24, 24)
-    target = scene.render(256, 1000)
+    target = scene.render(spp=256, seed=1000)
     truth = {k: scene[k] for k in (WALL, BALL)}
     scene.update({WALL: 0.5, BALL: 0.4})
-    optimizer = rg.Optimizer(scene, [WALL, BALL], 0.05, rates={BALL: 0.1})
+    optimizer = rg.Optimizer(scene, [WALL, BALL], rate=0.05, rates={BALL: 0.1})
     assert optimizer.keys == [WALL, BALL]
     first, values = None, []
     for step in range(80):
@@ -188,4 +188,4 @@ def test_estimators_are_compared() -> None:
 
 def test_a_biased_estimator_is_called_wrong() -> None:
     plate = rg.load_string(PLATE)
-    assert plate.check(METAL, "attached-naive", spp=32, repeats=8).verdict == "wrong"
+    assert plate.check(METAL, estimator="attached-naive", spp=32, repeats=8).verdict == "wrong"

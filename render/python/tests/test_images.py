@@ -23,7 +23,7 @@ def png(rows: np.ndarray) -> bytes:
 
 
 def test_every_bit_comes_back_from_openexr(tmp_path: Path, room: rg.Scene) -> None:
-    image = room.render(2)
+    image = room.render(spp=2)
     rg.write_image(tmp_path / "room.exr", image)
     found = rg.read_image(tmp_path / "room.exr")
     assert found.dtype == np.float32
@@ -82,6 +82,6 @@ def test_mistakes_about_images_are_named(tmp_path: Path) -> None:
 
 
 def test_layers_have_names(tmp_path: Path, room: rg.Scene) -> None:
-    rg.write_image(tmp_path / "one.exr", room.render(1))
+    rg.write_image(tmp_path / "one.exr", room.render(spp=1))
     with pytest.raises(ValueError, match="one.exr: expected .*`Combined`"):
         rg.read_image(tmp_path / "one.exr", layer="Combined")

@@ -100,7 +100,7 @@ def test_images_are_functions_of_the_seed(room: rg.Scene) -> None:
     image = room.render()
     assert image.shape == (12, 16, 3) == (*room.size, 3) and image.dtype == np.float32
     assert np.isfinite(image).all() and image.mean() > 0.05
-    np.testing.assert_array_equal(image, room.render(16, 0))
+    np.testing.assert_array_equal(image, room.render(spp=16, seed=0))
     assert (image != room.render(seed=1)).any()
     double = room.render(double=True)
     assert double.dtype == np.float64
@@ -152,7 +152,7 @@ def test_scene_files_load(tmp_path: Path) -> None:
     assert scene.files[0] == path
     assert scene["sky.radiance.value"][0] == 0.25
     same = rg.load_string(SCENE, base=tmp_path, defines={"grey": "0.25"}, allow_missing=True)
-    np.testing.assert_array_equal(same.render(4), scene.render(4))
+    np.testing.assert_array_equal(same.render(spp=4), scene.render(spp=4))
     assert repr(scene).startswith("<scene of 4 x 6 pixels, ")
 
 
@@ -197,7 +197,7 @@ def test_what_may_move_becomes_a_parameter(room: rg.Scene) -> None:
     room["sphere.translation"] = [0.0, 0.2, 0.0]
     assert (room.render() != before).any()
     adjoint = np.ones((*room.size, 3))
-    found = room.backward(adjoint, "sphere.translation", "edges", spp=2)
+    found = room.backward(adjoint, "sphere.translation", estimator="edges", spp=2)
     assert found["sphere.translation"].shape == (3,) and found["sphere.translation"].any()
     with pytest.raises(KeyError, match="spere.translation"):
         room.make_movable("spere.translation")
@@ -221,7 +221,7 @@ def test_matrices_are_read_and_set(room: rg.Scene) -> None:
     with pytest.raises(ValueError, match=r"\(4, 4\)"):
         scene[key] = np.ones(16)
     with pytest.raises(ValueError, match="`one.translation`"):
-        scene.backward(np.ones((*scene.size, 3)), key, "edges")
+        scene.backward(np.ones((*scene.size, 3)), key, estimator="edges")
     with pytest.raises(KeyError, match="closest: one.to_world"):
         scene["ones.to_world"]
     view = scene["sensor.to_world"]
@@ -249,14 +249,14 @@ def test_shapes_that_may_cross_are_warned_of_where_edges_are_sampled(tmp_path: P
     adjoint = np.ones((*scene.size, 3))
     expected = "`one` and `other` have faces in the same place"
     with pytest.warns(RuntimeWarning, match=expected):
-        scene.backward(adjoint, "one.translation", "edges", spp=1)
+        scene.backward(adjoint, "one.translation", estimator="edges", spp=1)
     with pytest.warns(RuntimeWarning, match=expected):
-        scene.forward("one.translation", "edges", spp=1)
+        scene.forward("one.translation", estimator="edges", spp=1)
     # Nothing moves, or no edges are sampled.
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        scene.backward(adjoint, "sky.radiance.value", "edges", spp=1)
-        scene.backward(adjoint, "one.translation", "interior", spp=1)
+        scene.backward(adjoint, "sky.radiance.value", estimator="edges", spp=1)
+        scene.backward(adjoint, "one.translation", estimator="interior", spp=1)
 
 
 VIEWS = """<scene version="3.0.0">
@@ -277,13 +277,13 @@ def test_sensors_have_names_and_numbers() -> None:
     for sensor in ("side", 1):
         assert rg.load_string(VIEWS, sensor=sensor).size == (3, 2)
     scene.spp = 5
-    own = scene.render(4)
+    own = scene.render(spp=4)
     for sensor in ("side", 1):
         # As the scene that is loaded with that sensor sees it, at its size.
         other = rg.load_string(VIEWS, sensor=sensor)
-        assert scene.render(4, 3, sensor).shape == (3, 2, 3)
-        np.testing.assert_array_equal(scene.render(4, 3, sensor), other.render(4, 3))
-        np.testing.assert_array_equal(scene.alpha(4, 3, sensor), other.alpha(4, 3))
+        assert scene.render(spp=4, seed=3, sensor=sensor).shape == (3, 2, 3)
+        np.testing.assert_array_equal(scene.render(spp=4, seed=3, sensor=sensor), other.render(spp=4, seed=3))
+        np.testing.assert_array_equal(scene.alpha(spp=4, seed=3, sensor=sensor), other.alpha(spp=4, seed=3))
         key, adjoint = "emitter.radiance.value", np.ones((3, 2, 3))
         found = scene.backward(adjoint, key, spp=4, seed=3, sensor=sensor)
         np.testing.assert_array_equal(found[key], other.backward(adjoint, key, spp=4, seed=3)[key])
@@ -292,12 +292,12 @@ def test_sensors_have_names_and_numbers() -> None:
         assert scene.check(key, spp=1, repeats=4, sensor=sensor).verdict != "wrong"
         # Of a number of samples of its own, and only for once.
         assert scene.spp == 5 and scene.size == (4, 6)
-    np.testing.assert_array_equal(scene.render(4, 0, "front"), own)
-    np.testing.assert_array_equal(scene.render(4), own)
+    np.testing.assert_array_equal(scene.render(spp=4, seed=0, sensor="front"), own)
+    np.testing.assert_array_equal(scene.render(spp=4), own)
     value, gradient = rg.value_and_gradient(scene, np.zeros((3, 2, 3)), key, spp=4, sensor="side")
     assert value > 0.0 and gradient[key].any()
     with pytest.raises(ValueError, match="one of `front`, `side`, found `top`"):
-        scene.render(4, 0, "top")
+        scene.render(spp=4, seed=0, sensor="top")
     assert scene.size == (4, 6)
 
 
@@ -318,10 +318,10 @@ def test_keys_may_be_patterns(room: rg.Scene) -> None:
 
 def test_what_is_covered() -> None:
     scene = rg.load_string(VIEWS)
-    np.testing.assert_array_equal(scene.alpha(4), np.ones((4, 6), np.float32))
+    np.testing.assert_array_equal(scene.alpha(spp=4), np.ones((4, 6), np.float32))
     scene.hide_emitters = True
     assert scene.hide_emitters
-    image, alpha = scene.render(512), scene.alpha(512)
+    image, alpha = scene.render(spp=512), scene.alpha(spp=512)
     assert 0 < alpha.mean() < 1 and alpha.shape == (4, 6)
     # Half of the light of the sky comes back, and nothing but that is seen.
     np.testing.assert_allclose(image[..., 0], 0.25 * alpha, atol=0.02)

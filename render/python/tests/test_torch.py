@@ -24,7 +24,7 @@ def test_gradients_flow_back_with_seeds_of_their_own(room: rg.Scene) -> None:
     ball = torch.tensor([0.3], dtype=torch.float64, requires_grad=True)
     fixed = torch.tensor([9.0, 8.0, 7.0])
     image = rgt.render(room, {WALL: wall, BALL: ball, "light.emitter.radiance.value": fixed}, spp=4, seed=5)
-    np.testing.assert_array_equal(image.detach().numpy(), room.render(4, 10))
+    np.testing.assert_array_equal(image.detach().numpy(), room.render(spp=4, seed=10))
     assert room["light.emitter.radiance.value"][0] == 9.0
     loss = (image**2).mean()
     # What happens to the scene in between does not matter.

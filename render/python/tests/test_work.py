@@ -20,10 +20,10 @@ def jobs(scene: rg.Scene):
     adjoint = np.ones((*scene.size, 3))
     key = "left.reflectance.value"
     return {
-        "render": lambda **how: scene.render(ENDLESS, **how),
-        "double": lambda **how: scene.render(ENDLESS, double=True, **how),
+        "render": lambda **how: scene.render(spp=ENDLESS, **how),
+        "double": lambda **how: scene.render(spp=ENDLESS, double=True, **how),
         "backward": lambda **how: scene.backward(adjoint, key, spp=ENDLESS, **how),
-        "auto": lambda **how: scene.backward(adjoint, key, "auto", spp=ENDLESS, **how),
+        "auto": lambda **how: scene.backward(adjoint, key, estimator="auto", spp=ENDLESS, **how),
         "forward": lambda **how: scene.forward(key, spp=ENDLESS, **how),
         "check": lambda **how: scene.check(key, spp=ENDLESS, **how),
     }
@@ -52,7 +52,7 @@ def test_ctrl_c_ends_work_within_a_second(room: rg.Scene, name: str) -> None:
     ends_with_ctrl_c(jobs(room)[name])
     # Nothing is left behind.
     np.testing.assert_array_equal(room["left.reflectance.value"], before)
-    assert room.render(1).shape == (12, 16, 3)
+    assert room.render(spp=1).shape == (12, 16, 3)
 
 
 def test_ctrl_c_does_not_wait_for_files(tmp_path) -> None:
@@ -81,7 +81,7 @@ end_header
 
 def test_progress_is_told_and_may_stop(room: rg.Scene) -> None:
     parts: list[float] = []
-    room.render(2048, progress=parts.append)
+    room.render(spp=2048, progress=parts.append)
     assert parts == sorted(parts) and parts[-1] == 1.0 and 0.0 <= parts[0]
 
     class Enough(Exception):
@@ -92,10 +92,10 @@ def test_progress_is_told_and_may_stop(room: rg.Scene) -> None:
 
     start = time.monotonic()
     with pytest.raises(Enough):
-        room.render(ENDLESS, progress=stop)
+        room.render(spp=ENDLESS, progress=stop)
     assert time.monotonic() - start < 1.0
     with pytest.raises(TypeError):
-        room.render(2048, progress=3)
+        room.render(spp=2048, progress=3)
 
 
 def test_other_threads_run_meanwhile(room: rg.Scene) -> None:
@@ -129,7 +129,7 @@ def test_other_threads_run_meanwhile(room: rg.Scene) -> None:
             raise TimeoutError
 
     with pytest.raises(TimeoutError):
-        room.render(ENDLESS, progress=until)
+        room.render(spp=ENDLESS, progress=until)
     done.set()
     ticker.join()
     changer.join()
@@ -138,9 +138,9 @@ def test_other_threads_run_meanwhile(room: rg.Scene) -> None:
 
 
 def test_threads_may_render_at_the_same_time(room: rg.Scene) -> None:
-    expected = room.render(4, 7)
+    expected = room.render(spp=4, seed=7)
     found = []
-    threads = [threading.Thread(target=lambda: found.append(room.render(4, 7))) for _ in range(4)]
+    threads = [threading.Thread(target=lambda: found.append(room.render(spp=4, seed=7))) for _ in range(4)]
     for t in threads:
         t.start()
     for t in threads:
@@ -157,11 +157,11 @@ import os, sys, warnings
 warnings.simplefilter("ignore")
 import render_gradients as rg
 scene = rg.room(8, 8)
-scene.render(1)
+scene.render(spp=1)
 child = os.fork()
 if child == 0:
     try:
-        scene.render(1)
+        scene.render(spp=1)
     except RuntimeError as e:
         os._exit(0 if "forked" in str(e) else 1)
     os._exit(2)
@@ -175,7 +175,7 @@ def test_the_number_of_threads_changes_no_bit() -> None:
     code = """
 import sys, numpy as np, render_gradients as rg
 scene = rg.room(24, 24)
-image = scene.render(8)
+image = scene.render(spp=8)
 gradient = scene.backward(image, spp=8)
 sys.stdout.buffer.write(image.tobytes() + b"".join(np.asarray(gradient[k]).tobytes() for k in sorted(gradient)))
 """

@@ -28,6 +28,10 @@ pub const OUTLINE_WIDTH: f64 = 0.02;
 /// [`OUTLINE_WIDTH`] nearly always, as an unbiased `B` needs, it has to look well beyond.
 const RING: [f64; 2] = [OUTLINE_WIDTH / 30.0, OUTLINE_WIDTH * 10.0];
 
+/// Rays that meet a primitive closer to its outline than this (radians) say nothing of it: by rounding, a ray that passes an
+/// edge meets a face behind that edge, which is turned away and which no other ray meets.
+const ROUNDING: f64 = 1e-5;
+
 /// `B` at a direction, and how it changes with it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Freeze<P> {
@@ -53,7 +57,8 @@ fn bump<R: Real>(distance: R) -> R {
 ///
 /// # Does not handle
 /// Lines where surfaces intersect each other; outlines that no auxiliary ray finds, such as those of
-/// objects much smaller than [`OUTLINE_WIDTH`]: there, some of the bias of naive attached sampling is left.
+/// objects much smaller than [`OUTLINE_WIDTH`]: there, some of the bias of naive attached sampling is left. Outlines that are
+/// hidden count where a ray meets another part of the primitive: samples stand still there, which they need not.
 pub fn freeze<P: Float, X: Sampler>(
     scene: &Scene,
     start: &Ray<P>,
@@ -66,8 +71,10 @@ pub fn freeze<P: Float, X: Sampler>(
     let tangents = Frame::from_normal(w);
     let mut found: Vec<Hit> = Vec::with_capacity(rays + 2);
     let mut look = |w: Vec3<P>| {
-        if let Some(hit) = scene.nearest(&Ray::new(origin, frame.to_world(w)).leaving(from))
+        let ray = Ray::new(origin, frame.to_world(w)).leaving(from);
+        if let Some(hit) = scene.nearest(&ray)
             && found.iter().all(|h| h.prim != hit.prim)
+            && scene.border(&ray, &hit) > P::of(ROUNDING)
         {
             found.push(hit);
         }

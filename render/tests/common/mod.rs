@@ -1,6 +1,7 @@
 //! Shared by the integration tests.
 
 pub mod materials;
+pub mod shapes;
 
 use std::ops::AddAssign;
 use std::path::{Path, PathBuf};

@@ -74,7 +74,7 @@ def value_and_gradient(
     One step of inverse rendering: the image is rendered with the seed `2 * seed`, and the gradient with `2 * seed + 1`, so
     that steps with different seeds are independent. The target is what `sensor` sees, if one is named.
     """
-    image = scene.render(spp, 2 * seed, sensor)
+    image = scene.render(spp=spp, seed=2 * seed, sensor=sensor)
     value, adjoint = _native.loss(image, target, loss)
-    return value, scene.backward(adjoint, keys, estimator, spp, 2 * seed + 1, sensor)
+    return value, scene.backward(adjoint, keys, estimator=estimator, spp=spp, seed=2 * seed + 1, sensor=sensor)
 

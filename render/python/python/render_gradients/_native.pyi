@@ -41,6 +41,7 @@ class Optimizer:
         cls,
         scene: Scene,
         keys: str | Sequence[str],
+        *,
         rate: float | None = None,
         method: Literal["adam", "sgd"] = "adam",
         rates: dict[str, float] | None = None,
@@ -100,10 +101,10 @@ class Scene:
     @overload
     def render(
         self,
+        *,
         spp: int | None = None,
         seed: int = 0,
         sensor: str | int | None = None,
-        *,
         estimator: str = "mis",
         double: Literal[False] = False,
         progress: _Progress | None = None,
@@ -111,43 +112,43 @@ class Scene:
     @overload
     def render(
         self,
+        *,
         spp: int | None = None,
         seed: int = 0,
         sensor: str | int | None = None,
-        *,
         estimator: str = "mis",
         double: Literal[True],
         progress: _Progress | None = None,
     ) -> NDArray[np.float64]: ...
     def alpha(
-        self, spp: int | None = None, seed: int = 0, sensor: str | int | None = None
+        self, *, spp: int | None = None, seed: int = 0, sensor: str | int | None = None
     ) -> NDArray[np.float32]: ...
     def backward(
         self,
         adjoint: ArrayLike,
         keys: str | Sequence[str] | None = None,
+        *,
         estimator: str = "mis",
         spp: int | None = None,
         seed: int = 1,
         sensor: str | int | None = None,
-        *,
         progress: _Progress | None = None,
     ) -> dict[str, NDArray[np.float64]]: ...
     def forward(
         self,
         directions: str | Sequence[str] | Mapping[str, ArrayLike],
+        *,
         estimator: str = "mis",
         spp: int | None = None,
         seed: int = 1,
         sensor: str | int | None = None,
-        *,
         progress: _Progress | None = None,
     ) -> NDArray[np.float32]: ...
     def check(
         self,
         keys: str | Sequence[str] | None = None,
-        estimator: str = "mis",
         *,
+        estimator: str = "mis",
         adjoint: ArrayLike | None = None,
         spp: int | None = None,
         repeats: int = 32,

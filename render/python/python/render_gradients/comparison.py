@@ -119,7 +119,7 @@ def compare(
         for k in range(count):
             own_seed = int(np.random.SeedSequence([seed, stream, k]).generate_state(1, np.uint64)[0])
             start = time.perf_counter()
-            images.append(scene.forward(directions, name, spp, own_seed).astype(np.float64))
+            images.append(scene.forward(directions, estimator=name, spp=spp, seed=own_seed).astype(np.float64))
             seconds.append(time.perf_counter() - start)
             done += weight / count
             if progress is not None:

@@ -35,7 +35,7 @@ class _Render(torch.autograd.Function):
         ctx.estimator, ctx.sensor = estimator, sensor
         ctx.save_for_backward(*values)
         _set(scene, keys, values)
-        image = scene.render(spp, 2 * seed, sensor)
+        image = scene.render(spp=spp, seed=2 * seed, sensor=sensor)
         return torch.from_numpy(image).to(values[0].device)
 
     @staticmethod
@@ -46,8 +46,9 @@ class _Render(torch.autograd.Function):
         _set(ctx.scene, ctx.keys, values)
         wanted = [key for key, needed in zip(ctx.keys, ctx.needs_input_grad[6:]) if needed]
         adjoint = adjoint.detach().cpu().numpy()
-        seed = 2 * ctx.seed + 1
-        found = ctx.scene.backward(adjoint, wanted, ctx.estimator, ctx.spp, seed, ctx.sensor)
+        found = ctx.scene.backward(
+            adjoint, wanted, estimator=ctx.estimator, spp=ctx.spp, seed=2 * ctx.seed + 1, sensor=ctx.sensor
+        )
         # In the order of the names, which may be Mitsuba's.
         found = dict(zip(wanted, found.values()))
         gradients = [
@@ -66,6 +67,7 @@ def _set(scene: Scene, keys: Sequence[str], values: Sequence[torch.Tensor]) -> N
 def render(
     scene: Scene,
     params: Mapping[str, torch.Tensor],
+    *,
     spp: int | None = None,
     seed: int = 0,
     estimator: str = "mis",

@@ -371,18 +371,10 @@ impl<'a, P: Float> Follow<'a, P> {
         let mut bends: Vec<Bend<P>> = Vec::with_capacity(trail.stops.len());
         let mut next = Rgb::black();
         for stop in trail.stops.iter().rev() {
-            let mut arriving = Rgb::black();
-            let mut leaves = Rgb::black();
-            if let Some(b) = &stop.bounce {
-                arriving = (next + met(self.scene, self.theta, &stop.edge)).scale(b.weight);
-                leaves += b.f * arriving;
-            }
-            if let Some((s, _)) = &stop.sampled {
-                leaves += s.f * s.le.scale(s.weight);
-            }
-            next = leaves;
+            let radiance = stop.radiance(self.scene, self.theta, next);
+            next = radiance.leaving;
             bends.push(Bend {
-                arriving,
+                arriving: radiance.arriving,
                 scattered: None,
                 sampled: None,
             });

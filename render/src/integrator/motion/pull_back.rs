@@ -3,7 +3,7 @@
 use ad_core::{Dual, Float, Vec2, Vec3};
 
 use super::slopes::{across, slope, slopes, varied};
-use super::trail::{Stop, Trail, met, sampled_point};
+use super::trail::{Stop, Trail, sampled_point};
 use crate::bsdf::Component;
 use crate::camera::CameraSample;
 use crate::emitter::{Emitter, EmitterSample, Rays};
@@ -153,11 +153,9 @@ impl<'a, P: Float> PullBack<'a, P> {
         d_l: Rgb<P>,
         grad: &mut impl GradSink<P>,
     ) -> Rgb<P> {
-        let mut leaves = Rgb::black();
+        let radiance = stop.radiance(self.scene, self.theta, next);
         if let Some(b) = &stop.bounce {
-            let arriving = next + met(self.scene, self.theta, &stop.edge);
-            leaves += b.f * arriving.scale(b.weight);
-            let a = d_l * stop.beta * arriving.scale(b.weight);
+            let a = d_l * stop.beta * radiance.arriving;
             let end = stop.edge.end.map(|_| k + 1);
             let source = end.map_or(Source::Afar, Source::Point);
             let value = ScatteredValue {
@@ -177,7 +175,6 @@ impl<'a, P: Float> PullBack<'a, P> {
             }
         }
         if let Some(light @ (s, sample)) = &stop.sampled {
-            leaves += s.f * s.le.scale(s.weight);
             let e = &self.scene.emitters()[s.emitter as usize];
             let a = d_l * stop.beta * s.le.scale(s.weight);
             let a_le = d_l * stop.beta * s.f.scale(s.weight);
@@ -195,7 +192,7 @@ impl<'a, P: Float> PullBack<'a, P> {
                 self.emission(Some(k), end, s.emitter, d, a_le, grad);
             }
         }
-        leaves
+        radiance.leaving
     }
 
     /// The unit vector from point `k` to `to`. Rays start off their surface and are not quite parallel to it: only with

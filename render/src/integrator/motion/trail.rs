@@ -39,6 +39,31 @@ pub(in crate::integrator) struct Stop<P: Float> {
     pub sampled: Option<(SampledLight<P>, EmitterSample<P>)>,
 }
 
+/// Radiance at a stop.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::integrator) struct Radiance<P> {
+    /// What arrives along the scattered direction, over its density.
+    pub arriving: Rgb<P>,
+    /// What leaves towards the vertex before.
+    pub leaving: Rgb<P>,
+}
+
+impl<P: Float> Stop<P> {
+    /// The radiance here, where `next` leaves the vertex behind.
+    pub fn radiance(&self, scene: &Scene, theta: &Theta<P>, next: Rgb<P>) -> Radiance<P> {
+        let mut arriving = Rgb::black();
+        let mut leaving = Rgb::black();
+        if let Some(b) = &self.bounce {
+            arriving = (next + met(scene, theta, &self.edge)).scale(b.weight);
+            leaving += b.f * arriving;
+        }
+        if let Some((s, _)) = &self.sampled {
+            leaving += s.f * s.le.scale(s.weight);
+        }
+        Radiance { arriving, leaving }
+    }
+}
+
 /// A path from the camera.
 #[derive(Clone, Debug)]
 pub(in crate::integrator) struct Trail<P: Float> {
