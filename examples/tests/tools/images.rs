@@ -199,7 +199,7 @@ fn images_say_that_trials_ran_out() {
     );
     dir.ok(
         "compare",
-        &format!("{ball} {few} --spp 4 --repeats 2 --estimators mis,mis-balance --out c"),
+        &format!("{ball} {few} --spp 4 --repeats 4 --estimators mis,mis-balance --out c"),
     );
     let of_compare = ["reference", "std.mis", "std.mis-balance"];
     let of_compare = of_compare.map(|kind| format!("c/floor.reflectance.value.{kind}.exr"));

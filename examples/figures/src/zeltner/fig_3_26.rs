@@ -63,7 +63,12 @@ pub fn figure(fig: &mut Figure) -> Result {
     let factor = fig.pick(10, 4);
     for (k, walks) in (1..).zip(WALKS) {
         let connections = from_anywhere(Method::SmsBiased(walks));
-        let found = measure(&ring.scene, connections, false, effort.other(k))?;
+        // The largest have little noise, and take long.
+        let fewer = Effort {
+            spp: (64 * effort.spp / u64::from(walks)).clamp(1, effort.spp),
+            ..effort.other(k)
+        };
+        let found = measure(&ring.scene, connections, false, fewer)?;
         let part = found.whole();
         let ratio = part.mean / whole.mean;
         let relative = (part.se / part.mean).hypot(whole.se / whole.mean);
