@@ -98,7 +98,7 @@ pub fn figure(fig: &mut Figure) -> Result {
     }
     let all = All(measured);
     let many = Effort {
-        spp: fig.pick(1024, 4096),
+        spp: 1024,
         ..effort.other(20)
     };
     fig.note("spp of paths", many.spp);
@@ -107,7 +107,7 @@ pub fn figure(fig: &mut Figure) -> Result {
     check_light(fig, &all, &paths, effort.runs);
     let rare = Rare::of(&scene, way(sms, uniform, angle), effort.other(30))?;
     let more = Effort {
-        spp: 8 * effort.spp,
+        spp: fig.pick(8, 4) * effort.spp,
         ..effort.other(31)
     };
     let reference = measure(&scene, way(sms, landed, angle), false, more)?;
