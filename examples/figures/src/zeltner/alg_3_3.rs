@@ -96,7 +96,7 @@ pub fn figure(fig: &mut Figure) -> Result {
     let of = |value: fn(&Sets) -> f64| sets.iter().map(move |s| (f64::from(s.walks), value(s)));
     let chart = LineChart::new("light that trial sets find", "walks", "light")
         .log_x()
-        .y_range(0.0, 1.5 * total)
+        .log_y()
         .measured("distinct solutions", of(|s| s.distinct.mean))
         .line("expected", of(|s| found(s.walks)))
         .measured("all ends", of(|s| s.all.mean))
