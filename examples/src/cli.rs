@@ -14,7 +14,7 @@ use render::auto;
 use render::emitter::Emitter;
 use render::estimator::{Capabilities, Refusal};
 use render::glint::glinty_shapes;
-use render::image_io::Encoding;
+use render::image_io::{Encoding, Labels};
 use render::instances::Estimator;
 use render::integrator::gradient::Gradient;
 use render::integrator::particle;
@@ -1094,12 +1094,49 @@ impl Walks {
 
     /// Says what went wrong, and reports.
     pub fn report(&self, settings: &Settings) -> SolvedReport {
-        let out = SolvedReport {
-            manifold: ManifoldReport::of(settings, &self.connections),
-            glints: GlintReport::of(settings, &self.glints),
-        };
+        let out = self.solved(settings);
         out.complain();
         out
+    }
+
+    fn solved(&self, settings: &Settings) -> SolvedReport {
+        SolvedReport {
+            manifold: ManifoldReport::of(settings, &self.connections),
+            glints: GlintReport::of(settings, &self.glints),
+        }
+    }
+
+    /// What the file of an image says that was made with these settings, of which so many samples were not finite: what reports say
+    /// of estimators that solve equations, under the same names, and in `comments` whatever makes it biased.
+    pub fn labels(&self, settings: &Settings, bad: &NonFinite) -> Labels {
+        let SolvedReport { manifold, glints } = self.solved(settings);
+        let manifold = manifold.map(|m| ("manifold", m.method, m.unbiased, m.walks.exhausted));
+        let glints = glints.map(|g| ("glints", g.method, g.unbiased, g.walks.exhausted));
+        let mut labels = Labels::new();
+        let mut remarks = Vec::new();
+        for (of, method, unbiased, exhausted) in manifold.into_iter().chain(glints) {
+            if exhausted > 0 {
+                remarks.push(format!(
+                    "{of} ({method}): biased, {exhausted} ran out of trials"
+                ));
+            } else if !unbiased {
+                remarks.push(format!("{of} ({method}): biased"));
+            }
+            labels.insert(format!("{of}.method"), method);
+            labels.insert(format!("{of}.unbiased"), unbiased.to_string());
+            labels.insert(format!("{of}.exhausted"), exhausted.to_string());
+        }
+        if bad.count > 0 {
+            remarks.push(format!(
+                "biased, {} samples were not finite and are left out",
+                bad.count
+            ));
+            labels.insert("non_finite".into(), bad.count.to_string());
+        }
+        if !remarks.is_empty() {
+            labels.insert("comments".into(), remarks.join("; "));
+        }
+        labels
     }
 }
 

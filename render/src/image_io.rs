@@ -18,6 +18,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+use std::collections::BTreeMap;
 use std::io::Cursor;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
@@ -550,34 +551,78 @@ pub fn linear_to_srgb(x: f64) -> f64 {
 /// # Errors
 /// The file cannot be written; none is left behind then.
 pub fn write_exr(path: &Path, image: &Image) -> Result<(), SceneError> {
-    check_written(path, image.width, image.height, 3, &image.data)?;
-    encode_exr(path, image.width, image.height, 3, &image.data)
+    write_exr_with(path, image, None, &Labels::new())
 }
 
-/// [`write_exr`] with a fourth channel `A`: how much of each pixel is covered, row by row. Colours are as they are,
-/// those of what covers the pixel in part multiplied by that part.
+/// Texts of the header of an OpenEXR file by name, in Latin-1. The name `comments` is that of the format for remarks; its other
+/// attributes are no labels.
 ///
 /// ```
-/// use render::image_io::{read_rgb, write_exr_with_alpha};
+/// use render::image_io::{Labels, read_labels, write_exr_with};
+///
+/// let file = std::env::temp_dir().join(format!("labels-{}.exr", std::process::id()));
+/// let labels = Labels::from([("comments".into(), "noisy".into()), ("samples".into(), "4".into())]);
+/// write_exr_with(&file, &render::Image::new(2, 1), None, &labels)?;
+/// assert_eq!(read_labels(&file)?, labels);
+/// # std::fs::remove_file(&file)?;
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+pub type Labels = BTreeMap<String, String>;
+
+/// The name of the format for remarks.
+const COMMENTS: &str = "comments";
+
+/// The labels of an OpenEXR file, of the first of its parts.
+///
+/// # Errors
+/// The file cannot be read or is no OpenEXR file.
+pub fn read_labels(path: &Path) -> Result<Labels, SceneError> {
+    let bytes = files::read(path, MAX_BYTES)?;
+    let found = catch_unwind(AssertUnwindSafe(|| layers::labels(&bytes)));
+    let expected = "an undamaged OpenEXR image";
+    match found {
+        Ok(Ok(labels)) => Ok(labels),
+        Ok(Err(Mismatch { expected, found })) => Err(asset(path, expected, found)),
+        Err(_) => Err(asset(path, expected, "data that the decoder cannot handle")),
+    }
+}
+
+/// [`write_exr`] with labels and, if there is `alpha`, a fourth channel `A`: how much of each pixel is covered, row by row. Colours
+/// are as they are, those of what covers the pixel in part multiplied by that part.
+///
+/// ```
+/// use render::image_io::{Labels, read_rgb, write_exr_with};
 ///
 /// let file = std::env::temp_dir().join(format!("alpha-{}.exr", std::process::id()));
 /// let mut image = render::Image::new(2, 1);
 /// image.data[..3].fill(0.25); // half covered by a grey of 0.5
-/// write_exr_with_alpha(&file, &image, &[0.5, 0.0])?; // [height][width]
+/// write_exr_with(&file, &image, Some(&[0.5, 0.0]), &Labels::new())?; // [height][width]
 /// assert_eq!(read_rgb(&file)?, image); // alpha is dropped, and nothing is divided by it
-/// assert!(write_exr_with_alpha(&file, &image, &[0.5]).is_err());
+/// assert!(write_exr_with(&file, &image, Some(&[0.5]), &Labels::new()).is_err());
 /// # std::fs::remove_file(&file)?;
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 ///
 /// # Errors
-/// As there; another number of values than pixels.
-pub fn write_exr_with_alpha(path: &Path, image: &Image, alpha: &[f32]) -> Result<(), SceneError> {
-    check_written(path, image.width, image.height, 3, &image.data)?;
-    check_written(path, image.width, image.height, 1, alpha)?;
-    let pixels = image.data.chunks_exact(3).zip(alpha);
-    let data: Vec<f32> = pixels.flat_map(|(c, &a)| [c[0], c[1], c[2], a]).collect();
-    encode_exr(path, image.width, image.height, 4, &data)
+/// As there; another number of values than pixels; a label that is not in Latin-1.
+pub fn write_exr_with(
+    path: &Path,
+    image: &Image,
+    alpha: Option<&[f32]>,
+    labels: &Labels,
+) -> Result<(), SceneError> {
+    let Image {
+        width,
+        height,
+        ref data,
+    } = *image;
+    check_written(path, width, height, 3, data)?;
+    let mut planes = colour_planes(&["R", "G", "B"], data);
+    if let Some(alpha) = alpha {
+        check_written(path, width, height, 1, alpha)?;
+        planes.push(("A", alpha.to_vec()));
+    }
+    encode_planes(path, width, height, planes, labels)
 }
 
 /// Writes one (`Y`) or three (`R`, `G`, `B`) channels as an OpenEXR file in f32, without loss.
@@ -592,24 +637,21 @@ pub fn write_exr_pixels(path: &Path, pixels: &Pixels) -> Result<(), SceneError> 
         ref data,
     } = *pixels;
     check_written(path, width, height, channels, data)?;
-    encode_exr(path, width, height, channels, data)
-}
-
-fn encode_exr(
-    path: &Path,
-    width: usize,
-    height: usize,
-    channels: usize,
-    data: &[f32],
-) -> Result<(), SceneError> {
     let names: &[&str] = match channels {
         1 => &["Y"],
-        3 => &["R", "G", "B"],
-        _ => &["R", "G", "B", "A"],
+        _ => &["R", "G", "B"],
     };
-    let plane = |c: usize| data.iter().skip(c).step_by(channels).copied().collect();
-    let planes = (0..).zip(names).map(|(c, &name)| (name, plane(c)));
-    encode_planes(path, width, height, planes.collect())
+    let planes = colour_planes(names, data);
+    encode_planes(path, width, height, planes, &Labels::new())
+}
+
+/// Channels that stand next to each other in every pixel, one after another.
+fn colour_planes<'n>(names: &[&'n str], data: &[f32]) -> Vec<(&'n str, Vec<f32>)> {
+    let plane = |c: usize| data.iter().skip(c).step_by(names.len()).copied().collect();
+    (0..)
+        .zip(names)
+        .map(|(c, &name)| (name, plane(c)))
+        .collect()
 }
 
 /// Writes numbers of any meaning, `[height][width]` under each name, as the channels of an OpenEXR file in f32.
@@ -625,7 +667,7 @@ pub fn write_exr_planes(
     for (_, plane) in &planes {
         check_written(path, width, height, 1, plane)?;
     }
-    encode_planes(path, width, height, planes)
+    encode_planes(path, width, height, planes, &Labels::new())
 }
 
 fn encode_planes(
@@ -633,13 +675,27 @@ fn encode_planes(
     width: usize,
     height: usize,
     planes: Vec<(&str, Vec<f32>)>,
+    labels: &Labels,
 ) -> Result<(), SceneError> {
+    let mut attributes = exr::LayerAttributes::default();
+    for (name, text) in labels {
+        let [key, value] = [name, text].map(exr::Text::new_or_none);
+        let (Some(key), Some(value)) = (key, value) else {
+            let found = format!("{} that is {}", quoted(name), quoted(text));
+            return Err(asset(path, "labels in Latin-1", found));
+        };
+        if name == COMMENTS {
+            attributes.comments = Some(value);
+        } else {
+            (attributes.other).insert(key, exr::AttributeValue::Text(value));
+        }
+    }
     let list = planes
         .into_iter()
         .map(|(name, plane)| exr::AnyChannel::new(name, exr::FlatSamples::F32(plane)));
     let layer = exr::Layer::new(
         (width, height),
-        exr::LayerAttributes::default(),
+        attributes,
         exr::Encoding::SMALL_FAST_LOSSLESS,
         exr::AnyChannels::sort(list.collect()),
     );

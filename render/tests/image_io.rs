@@ -6,8 +6,9 @@ use ex::WritableImage;
 use exr::prelude as ex;
 use image::DynamicImage;
 use render::image_io::{
-    Encoding, MAX_SIDE, Pixels, linear_to_srgb, read, read_layer, read_rgb, split_layer,
-    srgb_to_linear, write_atomically, write_exr, write_exr_pixels, write_exr_planes, write_png,
+    Encoding, Labels, MAX_SIDE, Pixels, linear_to_srgb, read, read_labels, read_layer, read_rgb,
+    split_layer, srgb_to_linear, write_atomically, write_exr, write_exr_pixels, write_exr_planes,
+    write_exr_with, write_png,
 };
 use render::{Image, SceneError};
 use tempfile::TempDir;
@@ -73,6 +74,33 @@ fn exr_returns_every_bit() {
         assert_eq!(read(&path, Encoding::Srgb).unwrap(), grey);
     }
     assert_eq!(files(&dir), [path]);
+}
+
+#[test]
+fn exr_returns_its_labels() {
+    let dir = TempDir::new().unwrap();
+    let path = dir.path().join("a.exr");
+    let image = ramp(5, 3);
+    let labels = |pairs: &[[&str; 2]]| -> Labels {
+        let pairs = pairs.iter().map(|pair| pair.map(str::to_owned));
+        pairs.map(|[name, text]| (name, text)).collect()
+    };
+    let two = labels(&[["comments", "biased: a b\u{fc}dget"], ["walks.n", "12"]]);
+    for alpha in [None, Some(&[0.5; 15][..])] {
+        write_exr_with(&path, &image, alpha, &two).unwrap();
+        assert_eq!(read_labels(&path).unwrap(), two);
+        assert_eq!(read_rgb(&path).unwrap(), image);
+    }
+    // What cannot be kept is refused, and the file stays.
+    for bad in [["a", "\u{3b1}"], ["\u{3b1}", "a"], ["", "a"]] {
+        assert!(write_exr_with(&path, &image, None, &labels(&[bad])).is_err());
+        assert_eq!(read_labels(&path).unwrap(), two);
+    }
+    write_exr(&path, &image).unwrap();
+    assert_eq!(read_labels(&path).unwrap(), Labels::new());
+    let png = dir.path().join("a.png");
+    write_png(&png, &image, 0.0).unwrap();
+    assert!(read_labels(&png).is_err());
 }
 
 #[test]

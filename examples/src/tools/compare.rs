@@ -8,6 +8,7 @@ use clap::Parser;
 use render::Job;
 use render::auto::{self, Mixture};
 use render::check::{self, Span};
+use render::image_io::Labels;
 use render::instances::{Direction, Estimator, Mode, forward_f64, render_f64};
 use render::integrator::render::{NonFinite, Progress, Rendering, stays};
 use render::params::{ParamInfo, Theta};
@@ -253,6 +254,7 @@ struct Series {
     means: Vec<f64>,
     seconds: Vec<f64>,
     bad: NonFinite,
+    walks: Walks,
     cumulative: Vec<(u64, f64, Vec<f64>)>,
     /// Error that more repeats would not reduce, per block, and that of the mean.
     systematic: ([f64; BLOCKS * BLOCKS], f64),
@@ -270,6 +272,7 @@ impl Series {
             means: Vec::new(),
             seconds: Vec::new(),
             bad: NonFinite::default(),
+            walks: Walks::default(),
             cumulative: Vec::new(),
             systematic: ([0.0; BLOCKS * BLOCKS], 0.0),
         }
@@ -427,7 +430,9 @@ impl Run<'_> {
                 return Ok(None);
             }
             series.bad.merge(&rendering.non_finite);
-            self.walks.merge(&Walks::of_image(&rendering));
+            let came_to = Walks::of_image(&rendering);
+            self.walks.merge(&came_to);
+            series.walks.merge(&came_to);
             series.add(&derivative, start.elapsed().as_secs_f64());
         }
         bar.finish();
@@ -754,12 +759,16 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
                 let Some(finding) = finding else {
                     break;
                 };
-                panels.push((e.name(), deviation(&series, f64::from(settings.spp))));
+                let labels = series.walks.labels(&settings, &series.bad);
+                let deviation = deviation(&series, f64::from(settings.spp));
+                panels.push((e.name(), deviation, labels));
                 let row = row(param, e, &series, &truth, &settings, finding);
                 say!("{}", line(&row));
                 report.rows.push(row);
             }
-            write_images(&args.out, param, run.scene, &truth, &panels)?;
+            let labels = truth.walks.labels(&settings, &truth.bad);
+            let reference = (&truth, &labels);
+            write_images(&args.out, param, run.scene, reference, &panels)?;
             write_chart(&args.out, param, &report.rows)?;
             if interrupt.is_set() {
                 break;
@@ -998,13 +1007,13 @@ fn write_chart(out: &Path, param: &str, rows: &[Row]) -> Result<(), ToolError> {
     )
 }
 
-/// The reference's derivative image, and the standard deviation of each estimator on one scale.
+/// The reference's derivative image, and the standard deviation of each estimator on one scale, with what files say of them.
 fn write_images(
     out: &Path,
     param: &str,
     scene: &Scene,
-    truth: &Series,
-    deviations: &[(&str, Vec<f64>)],
+    (truth, labels): (&Series, &Labels),
+    deviations: &[(&str, Vec<f64>, Labels)],
 ) -> Result<(), ToolError> {
     let [width, height] = scene.film.crop_size.map(|n| n as usize);
     let name = output::file_name(param);
@@ -1012,7 +1021,8 @@ fn write_images(
     for (o, x) in image.data.iter_mut().zip(truth.image()) {
         *o = x as f32;
     }
-    image_io::write_exr(&out.join(format!("{name}.reference.exr")), &image)?;
+    let file = out.join(format!("{name}.reference.exr"));
+    image_io::write_exr_with(&file, &image, None, labels)?;
     let mut panels = vec![output::signed_panel("reference", &image)];
     let mut all: Vec<f64> = deviations
         .iter()
@@ -1023,12 +1033,13 @@ fn write_images(
     all.retain(|x| *x > 1e-3 * largest);
     all.sort_by(f64::total_cmp);
     let scale = all.get(all.len() * 8 / 10).copied().unwrap_or(1.0);
-    for (estimator, values) in deviations {
+    for (estimator, values, labels) in deviations {
         let mut image = Image::new(width, height);
         for (o, &x) in image.data.chunks_exact_mut(3).zip(values) {
             o.fill(x as f32);
         }
-        image_io::write_exr(&out.join(format!("{name}.std.{estimator}.exr")), &image)?;
+        let file = out.join(format!("{name}.std.{estimator}.exr"));
+        image_io::write_exr_with(&file, &image, None, labels)?;
         let label = format!("std: {estimator}");
         let panel = Panel::signed(&label, width, values, Some(scale));
         panels.push(output::readable(panel));

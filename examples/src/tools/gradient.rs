@@ -8,6 +8,7 @@ use clap::Parser;
 use optim::{Loss, LossKind, OptimError};
 use render::Job;
 use render::auto::{self, Mixture};
+use render::image_io::Labels;
 use render::instances::{Direction, Estimator, Mode, forward_f32, render_f32};
 use render::integrator::render::{NonFinite, Progress, stays};
 use render::params::{ParamInfo, ParamKind, ParamShape, Theta};
@@ -286,16 +287,16 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         return Ok(Outcome::Interrupted);
     };
     statistics.check(&ranges)?;
-    for (info, image) in ranges.iter().zip(&images) {
+    for (info, (image, _)) in ranges.iter().zip(&images) {
         let pixels = image.data.iter().map(|&x| f64::from(x));
         require_finite("derivative image", info, pixels)?;
     }
     statistics.print(&scene, &ranges);
     let solved = statistics.walks.report(&settings);
     if let Some(dir) = &args.images {
-        for (info, image) in ranges.iter().zip(&images) {
+        for (info, (image, labels)) in ranges.iter().zip(&images) {
             let [exr, png] = image_files(dir, info);
-            image_io::write_exr(&exr, image)?;
+            image_io::write_exr_with(&exr, image, None, labels)?;
             let panel = output::signed_panel(&format!("d image / d {}", info.name), image);
             output::write_panels(&png, 1, &[panel])?;
         }
@@ -870,7 +871,7 @@ fn repeat(
     Ok((out.repeats > 0).then_some(out))
 }
 
-/// Derivative images, one per parameter: one number added to the whole range. None if interrupted.
+/// Derivative images, one per parameter, and what their files say: one number added to the whole range. None if interrupted.
 fn gradient_images(
     args: &Args,
     scene: &Scene,
@@ -879,7 +880,7 @@ fn gradient_images(
     ranges: &[ParamInfo],
     walks: &mut Walks,
     interrupt: &Interrupt,
-) -> Result<Vec<Image>, ToolError> {
+) -> Result<Vec<(Image, Labels)>, ToolError> {
     let seed = args.seed;
     let spp = u64::from(settings.spp);
     let pixels = scene.film.pixels() as u64;
@@ -891,11 +892,13 @@ fn gradient_images(
             let rendering =
                 mixture.forward_f32(&Job::new(scene, settings, seed, 0..spp, &bar), &info.name)?;
             report_non_finite(&rendering.non_finite, rendering.width, seed);
-            walks.merge(&Walks::of_image(&rendering));
+            let came_to = Walks::of_image(&rendering);
+            walks.merge(&came_to);
             if bar.cancelled() {
                 return Ok(Vec::new());
             }
-            images.push(rendering.image(1));
+            let labels = came_to.labels(settings, &rendering.non_finite);
+            images.push((rendering.image(1), labels));
         }
         bar.finish();
         return Ok(images);
@@ -917,11 +920,14 @@ fn gradient_images(
     )?;
     bar.finish();
     report_non_finite(&rendering.non_finite, rendering.width, seed);
-    walks.merge(&Walks::of_image(&rendering));
+    let came_to = Walks::of_image(&rendering);
+    walks.merge(&came_to);
     if bar.cancelled() {
         return Ok(Vec::new());
     }
-    Ok((1..=directions.len()).map(|k| rendering.image(k)).collect())
+    let labels = came_to.labels(settings, &rendering.non_finite);
+    let image = |k: usize| (rendering.image(k), labels.clone());
+    Ok((1..=directions.len()).map(image).collect())
 }
 
 /// How many passes [`forward_f32`] makes for `n` directions.

@@ -410,7 +410,7 @@ impl Recovery {
                 // Complete or not at all: a run that is resumed makes one that is missing.
                 let picture = self.picture("before", seed, interrupt)?;
                 if let Some(picture) = picture.filter(is_complete) {
-                    image_io::write_exr(file, &picture.image(0))?;
+                    self.write_picture(file, &picture)?;
                 }
             }
             before.push(if file.exists() {
@@ -978,5 +978,14 @@ impl Recovery {
         let picture = in_passes(scene, method, &settings, seed, &bar)?;
         bar.finish();
         Ok(picture)
+    }
+
+    /// Writes it with what is to be said of it.
+    fn write_picture(&self, file: &Path, picture: &Rendering) -> Result<Image, ToolError> {
+        let walks = Walks::of_image(picture);
+        let labels = walks.labels(&self.problem.settings, &picture.non_finite);
+        let image = picture.image(0);
+        image_io::write_exr_with(file, &image, None, &labels)?;
+        Ok(image)
     }
 }

@@ -20,7 +20,7 @@ use render::{RenderError, Scene, Settings, image_io};
 use serde::Serialize;
 
 use crate::cli::{
-    LoadArgs, ManifoldArgs, Outcome, SampleArgs, SolvedReport, ThreadArgs, ToolError, depth,
+    LoadArgs, ManifoldArgs, Outcome, SampleArgs, SolvedReport, ThreadArgs, ToolError, Walks, depth,
     manifold_planes, report_non_finite, sample_count, warn_of_unsampled,
 };
 use crate::output;
@@ -396,10 +396,8 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
         let job = Job::new(&scene, &settings, args.seed, 0..rendering.samples, &());
         coverage::coverage(&job)
     });
-    match alpha.flatten() {
-        Some(alpha) => image_io::write_exr_with_alpha(&exr, &image, &alpha)?,
-        None => image_io::write_exr(&exr, &image)?,
-    }
+    let labels = Walks::of_image(&rendering).labels(&settings, &rendering.non_finite);
+    image_io::write_exr_with(&exr, &image, alpha.flatten().as_deref(), &labels)?;
     output::write_png(&png, &image)?;
     if let Some(path) = &args.manifold_picture {
         let planes = manifold_planes(&rendering);

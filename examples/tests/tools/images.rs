@@ -5,7 +5,7 @@ use std::process::Command;
 
 use render::Image;
 use render::image_io::read_rgb as read_exr;
-use render::image_io::{write_exr, write_exr_planes, write_png};
+use render::image_io::{read_labels, write_exr, write_exr_planes, write_png};
 use serde_json::Value;
 
 use crate::{Folder, GLASS, SCENE, WALL, bytes, keys, samples};
@@ -168,6 +168,55 @@ fn manifold_connections_are_rendered_reported_and_checked() {
     );
 }
 
+/// Files of images say of connections what reports do: that trials ran out, and that they are biased. Where nothing is connected
+/// they say nothing.
+#[test]
+fn images_say_that_trials_ran_out() {
+    let dir = glass_balls();
+    let labels = |file: &str| read_labels(&dir.path(file)).unwrap();
+    dir.ok("render", "ball.xml --spp 1 -o photo.exr");
+    assert!(labels("photo.exr").is_empty());
+    dir.ok("render", "ball.xml --manifold sms --spp 1 -o sms.exr");
+    let found = labels("sms.exr");
+    let expected = ["exhausted", "method", "unbiased"].map(|key| format!("manifold.{key}"));
+    assert!(found.keys().eq(&expected), "{found:?}");
+    assert!(found.values().eq(["0", "sms", "true"]), "{found:?}");
+
+    let few = "--manifold sms --trials 1 --starts uniform";
+    let ball = "ball.xml --param floor.reflectance.value";
+    let (out, report) = (["image.exr", "d/floor.reflectance.value.exr"], "image.json");
+    dir.ok(
+        "render",
+        &format!("ball.xml {few} --spp 4 -o {} --json {report}", out[0]),
+    );
+    let found = labels(out[0]);
+    let exhausted = &dir.json(report)["manifold"]["exhausted"];
+    assert_eq!(found["manifold.exhausted"], exhausted.to_string());
+    dir.ok("gradient", &format!("{ball} {few} --spp 4 --images d"));
+    dir.ok(
+        "recover",
+        &format!("{ball} {few} --spp 4 --iterations 1 --target photo.exr --out r"),
+    );
+    dir.ok(
+        "compare",
+        &format!("{ball} {few} --spp 4 --repeats 4 --estimators mis,mis-balance --out c"),
+    );
+    let of_compare = ["reference", "std.mis", "std.mis-balance"];
+    let of_compare = of_compare.map(|kind| format!("c/floor.reflectance.value.{kind}.exr"));
+    let others = ["r/before.exr", "r/after.exr"].map(str::to_owned);
+    for file in (out.map(str::to_owned).iter())
+        .chain(&others)
+        .chain(&of_compare)
+    {
+        let found = labels(file);
+        let number: u64 = found["manifold.exhausted"].parse().unwrap();
+        let remark = format!("manifold (sms): biased, {number} ran out of trials");
+        assert!(number > 0, "{file}: {found:?}");
+        assert_eq!(found["manifold.unbiased"], "false", "{file}");
+        assert_eq!(found["comments"], remark, "{file}");
+    }
+}
+
 /// Options of connections are refused where they would have no effect, and parameters that move chains.
 #[test]
 fn manifold_options_without_effect_are_refused() {
@@ -327,6 +376,8 @@ fn glints_are_rendered_reported_and_refused() {
         "metal.xml --glints biased --glint-trials 8 --glint-region footprint --glint-weights lobe --spp 4 --json b.json",
     );
     assert_eq!(dir.json("b.json")["glints"]["unbiased"], false);
+    let labels = read_labels(&dir.path("metal.exr")).unwrap();
+    assert_eq!(labels["comments"], "glints (biased, 8 walks): biased");
     dir.ok("render", "metal.xml --glints off --spp 4 --json off.json");
     assert!(dir.json("off.json").get("glints").is_none());
     for (args, expected) in [

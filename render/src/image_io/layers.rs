@@ -6,7 +6,7 @@ use std::io::Cursor;
 use exr::prelude as exr;
 use exr::{ReadChannels, ReadLayers};
 
-use super::{Mismatch, Pixels, check_samples, check_size, mismatch};
+use super::{COMMENTS, Labels, Mismatch, Pixels, check_samples, check_size, mismatch};
 use crate::math::rgb_of_xyz;
 
 /// Names of layers that hold the picture itself, by which renderers call it, most telling first.
@@ -121,6 +121,25 @@ pub(super) fn decode(bytes: &[u8], layer: Option<&str>) -> Result<Pixels, Mismat
     let groups = groups(&image.layer_data);
     let (group, colours) = choose(&groups, layer)?;
     Ok(group.pixels(&colours))
+}
+
+/// The texts in the header of the first part.
+pub(super) fn labels(bytes: &[u8]) -> Result<Labels, Mismatch> {
+    let bad = |e: exr::Error| mismatch("an OpenEXR image", e);
+    let meta = exr::MetaData::read_from_buffered(Cursor::new(bytes), false).map_err(bad)?;
+    let Some(header) = meta.headers.first() else {
+        return Ok(Labels::new());
+    };
+    let attributes = &header.own_attributes;
+    let texts = attributes.other.iter().filter_map(|(name, value)| {
+        let exr::AttributeValue::Text(text) = value else {
+            return None;
+        };
+        Some((name.to_string(), text.to_string()))
+    });
+    let comments = attributes.comments.iter();
+    let comments = comments.map(|text| (COMMENTS.to_owned(), text.to_string()));
+    Ok(texts.chain(comments).collect())
 }
 
 /// Whether all that a file has are channels `X`, `Y` and `Z`, with or without alpha.

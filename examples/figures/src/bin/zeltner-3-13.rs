@@ -1,4 +1,4 @@
-//! `zeltner-3-13`: a ball of glass with bumps by eight estimators [Zeltner 2021].
+//! `zeltner-3-13`: a ball of glass with bumps by ten estimators [Zeltner 2021].
 
 use std::process::ExitCode;
 
@@ -8,7 +8,7 @@ use figures::zeltner;
 fn main() -> ExitCode {
     Figure::run(
         "zeltner-3-13",
-        "a ball of glass with bumps by eight estimators",
+        "a ball of glass with bumps by ten estimators",
         zeltner::fig_3_13::figure,
     )
 }

@@ -1,4 +1,4 @@
-//! `zeltner-3-19`: where walks start on metal with bumps [Zeltner 2021].
+//! `zeltner-3-19`: where walks start on metal and water with bumps [Zeltner 2021].
 
 use std::process::ExitCode;
 
@@ -8,7 +8,7 @@ use figures::zeltner;
 fn main() -> ExitCode {
     Figure::run(
         "zeltner-3-19",
-        "where walks start on metal with bumps",
+        "where walks start on metal and water with bumps",
         zeltner::fig_3_19::figure,
     )
 }

@@ -1,4 +1,4 @@
-//! `zeltner-alg-3-2`: unbiased sampling and trial sets with known solutions [Zeltner 2021].
+//! `zeltner-alg-3-2`: unbiased estimates with known solutions [Zeltner 2021].
 
 use std::process::ExitCode;
 
@@ -8,7 +8,7 @@ use figures::zeltner;
 fn main() -> ExitCode {
     Figure::run(
         "zeltner-alg-3-2",
-        "unbiased sampling and trial sets with known solutions",
+        "unbiased estimates with known solutions",
         zeltner::alg_3_2::figure,
     )
 }

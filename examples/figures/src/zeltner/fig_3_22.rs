@@ -14,7 +14,7 @@ use render::scene::{GlintMethod, GlintRegion, GlintTechniques, GlintWeights, Gli
 use render::statistics::{Estimate, z_limit};
 
 use super::glint_scenes::Slopes;
-use examples::chart::Panel;
+use examples::chart::{LineChart, Panel};
 use examples::figure::{Figure, Result};
 use examples::scene_builder::{SceneBuilder, View};
 
@@ -131,6 +131,103 @@ fn total(all: &[Vec<Found>], of: impl Fn(&Found) -> f64) -> f64 {
     all.iter().flatten().map(of).sum::<f64>() / n as f64
 }
 
+/// Means over the pixels of samples of equal index: independent images.
+fn images(all: &[Vec<Found>], of: impl Fn(&Found) -> f64) -> Vec<f64> {
+    let spp = all.first().map_or(0, Vec::len);
+    let image = |i: usize| all.iter().map(|pixel| of(&pixel[i])).sum::<f64>() / all.len() as f64;
+    (0..spp).map(image).collect()
+}
+
+/// Samples that are weighed in one way.
+struct Weighed<'a> {
+    name: &'a str,
+    by_both: &'a [Vec<Found>],
+    /// What scattered directions leave to walks, at the seed of such that leave nothing.
+    left: Vec<Vec<Found>>,
+}
+
+/// That both techniques weigh a path in the same way, whichever finds it: walks bring the light that scattered directions leave to
+/// them. `alone` are those that leave nothing.
+fn check_weights(fig: &mut Figure, kind: &Weighed, alone: &[Vec<Found>]) {
+    let &Weighed {
+        name,
+        by_both,
+        ref left,
+    } = kind;
+    // Of flat parts and of scratches, by two kinds of weights.
+    let samples = by_both.first().map_or(0, Vec::len) as u64;
+    let limit = z_limit(4, samples, 1e-3);
+    let places = [(0, "flat parts"), (1, "scratches")].map(|(scratch, place)| {
+        let walks = Estimate::of(&images(by_both, |f| f.light[scratch][1]));
+        let scattered = |found: &[Vec<Found>]| images(found, |f| f.light[scratch][0]);
+        // Of as many samples as there are of both.
+        let differences = scattered(alone).into_iter().zip(scattered(left));
+        let theirs = differences.map(|(all, rest)| all - rest);
+        let theirs = Estimate::of(&theirs.collect::<Vec<_>>());
+        let all = total(alone, |f| f.light[scratch][0]);
+        (place, walks, theirs, all)
+    });
+    // Lights are taken to be far.
+    let agree = places.iter().all(|(_, walks, theirs, all)| {
+        let apart = (walks.mean - theirs.mean).abs();
+        apart < (0.03 * all).max(limit * walks.se.hypot(theirs.se))
+    });
+    let found = places.map(|(place, walks, theirs, all)| {
+        format!(
+            "{place}: {:.4} ± {:.4} and {:.4} ± {:.4} of {all:.4}",
+            walks.mean, walks.se, theirs.mean, theirs.se
+        )
+    });
+    fig.check(
+        format!("walks bring what scattered directions leave to them, by {name}"),
+        agree,
+        found.join(", "),
+    );
+}
+
+/// The weights of walks: by pixel, and of the single paths to bright lights that scattered directions find.
+fn draw_weights(fig: &mut Figure, width: usize, kinds: &[Weighed], alone: &[Vec<Found>]) {
+    const BINS: usize = 20;
+    let part = |pixel: &Vec<Found>| {
+        let of = |walk: usize| {
+            let sums = pixel.iter().map(|f| f.bright[0][walk] + f.bright[1][walk]);
+            sums.sum::<f64>()
+        };
+        let (walks, scattered) = (of(1), of(0));
+        walks / (walks + scattered).max(f64::MIN_POSITIVE)
+    };
+    let panels = kinds.iter().map(|Weighed { name, by_both, .. }| {
+        let parts: Vec<f64> = by_both.iter().map(part).collect();
+        let label = format!("weight of walks, by {name}");
+        Panel::false_colour(&label, width, &parts, 0.0, 1.0).enlarged(fig.pick(12, 4))
+    });
+    let panels: Vec<Panel> = panels.collect();
+    let mut chart = LineChart::new(
+        "paths to bright lights",
+        "weight of walks",
+        "share of the light",
+    );
+    for Weighed { name, left, .. } in kinds {
+        for (scratch, place) in [(1, "in scratches"), (0, "on flat parts")] {
+            let mut bins = [0.0; BINS];
+            let pixels = alone.iter().zip(left);
+            for (all, rest) in pixels.flat_map(|(all, rest)| all.iter().zip(rest)) {
+                let [all, rest] = [all, rest].map(|f| f.bright[scratch][0]);
+                if all > 0.0 {
+                    let bin = ((1.0 - rest / all) * BINS as f64) as usize;
+                    bins[bin.min(BINS - 1)] += all;
+                }
+            }
+            let sum: f64 = bins.iter().sum();
+            let middle = |k: usize| (k as f64 + 0.5) / BINS as f64;
+            let points = (0..BINS).map(|k| (middle(k), bins[k] / sum.max(f64::MIN_POSITIVE)));
+            chart = chart.measured(&format!("{place}, by {name}"), points);
+        }
+    }
+    fig.images("weights", 2, &panels);
+    fig.chart("paths", &chart);
+}
+
 /// `zeltner-3-22`.
 ///
 /// # Errors
@@ -156,16 +253,12 @@ pub fn figure(fig: &mut Figure) -> Result {
     };
     let by_lobe = of(lobe, 1, spp)?;
     let walks = of(only(GlintTechniques::Walks), 2, spp)?;
-    let scattering = of(only(GlintTechniques::Scattering), 3, 16 * spp)?;
+    let many = fig.pick(16, 4) * spp;
+    let scattering = of(only(GlintTechniques::Scattering), 3, many)?;
     let all = |f: &Found| f.light.iter().flatten().sum::<f64>();
     // ---- The same light ----
-    let estimate = |found: &[Vec<Found>]| {
-        // Samples of equal index over all pixels are independent images.
-        let spp = found.first().map_or(0, Vec::len);
-        let image = |i| found.iter().map(|pixel| all(&pixel[i])).sum::<f64>() / found.len() as f64;
-        Estimate::of(&(0..spp).map(image).collect::<Vec<_>>())
-    };
-    let (brute, sum, sum_by_lobe) = (estimate(&scattering), estimate(&both), estimate(&by_lobe));
+    let [brute, sum, sum_by_lobe] =
+        [&scattering, &both, &by_lobe].map(|found| Estimate::of(&images(found, all)));
     for (name, e) in [("densities", &sum), ("the lobe", &sum_by_lobe)] {
         // Of two comparisons.
         let limit = z_limit(2, spp, 1e-3);
@@ -198,6 +291,30 @@ pub fn figure(fig: &mut Figure) -> Result {
             ),
         );
     }
+    // What scattered directions leave to walks, at the seed of those that leave nothing. Walks do not matter.
+    let left = |weights: Glints| {
+        let one = Glints {
+            method: GlintMethod::Biased(1),
+            ..weights
+        };
+        of(one, 3, 4 * spp)
+    };
+    let kinds = [
+        Weighed {
+            name: "densities",
+            by_both: &both,
+            left: left(unbiased)?,
+        },
+        Weighed {
+            name: "the lobe",
+            by_both: &by_lobe,
+            left: left(lobe)?,
+        },
+    ];
+    for kind in &kinds {
+        check_weights(fig, kind, &scattering);
+    }
+    draw_weights(fig, size as usize, &kinds, &scattering);
     // ---- Noise ----
     let mut rows = Vec::new();
     for (scratch, place) in [(1, "in scratches"), (0, "on flat parts")] {

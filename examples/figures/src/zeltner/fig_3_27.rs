@@ -6,7 +6,7 @@ use render::scene::{Method, Starts};
 
 use super::authors::{Authors, Found, attribute, compare};
 use super::integrated_normals::displaced_sphere;
-use super::manifold_methods::{Effort, measure, single};
+use super::manifold_methods::{Effort, Measured, measure, single};
 use super::manifold_scenes::{Waves, displaced_ball, glass, half_ball, mapped_ball};
 use super::specular_scenes::Laboratory;
 use examples::chart::LineChart;
@@ -17,6 +17,20 @@ const SEED: u64 = 327;
 const SLOPES: [f64; 3] = [0.03, 0.07, 0.15];
 /// Wavelength, of a ball of radius 5.
 const WAVELENGTH: f64 = 3.0;
+
+/// A ball with bumps of one size, mapped or displaced.
+struct Ball {
+    displaced: bool,
+    slope: f64,
+    light: Measured,
+}
+
+impl Ball {
+    /// Samples per pixel in so many seconds, of so many runs.
+    fn samples_in(&self, runs: u64, seconds: f64) -> f64 {
+        (self.light.spp * runs) as f64 * seconds / self.light.seconds
+    }
+}
 
 /// `zeltner-3-27`.
 ///
@@ -33,10 +47,10 @@ pub fn figure(fig: &mut Figure) -> Result {
     // Texels and vertices of half a turn.
     let rows = fig.pick(96, 256);
     fig.note("rows", rows);
-    let mut table = Vec::new();
-    let mut panels = Vec::new();
-    for displaced in [false, true] {
-        for (k, slope) in (0..).zip(SLOPES) {
+    let mut balls = Vec::new();
+    // One after the other, so that both meet the same load.
+    for (k, slope) in (0..).zip(SLOPES) {
+        for displaced in [false, true] {
             let waves = Waves::new(WAVELENGTH, slope, SEED);
             let scene = half_ball(size, 0.4, |b, radius| {
                 let smooth = glass(b)?;
@@ -50,22 +64,23 @@ pub fn figure(fig: &mut Figure) -> Result {
             })?;
             let connections = single(Method::Sms, Starts::Uniform);
             let seed = effort.seed + 1000 * k + 500 * u64::from(displaced);
-            let m = measure(&scene, connections, false, Effort { seed, ..effort })?;
-            let label = if displaced { "displaced" } else { "normal map" };
-            panels.push(m.panel(&format!("{label}, {slope}"), &m, fig.pick(10, 4)));
-            table.push([
-                f64::from(u8::from(displaced)),
+            let light = measure(&scene, connections, false, Effort { seed, ..effort })?;
+            balls.push(Ball {
+                displaced,
                 slope,
-                m.lit(),
-                m.success(),
-                m.trials(),
-                m.mean(),
-                m.seconds,
-            ]);
+                light,
+            });
         }
     }
-    let (mapped, displaced) = table.split_at(SLOPES.len());
-    let rates = |rows: &[[f64; 7]]| rows.iter().map(|r| r[2]).collect::<Vec<f64>>();
+    let (displaced, mapped): (Vec<Ball>, Vec<Ball>) = balls.into_iter().partition(|b| b.displaced);
+    check_rates(fig, &mapped, &displaced);
+    check_cost(fig, &mapped, &displaced, effort.runs);
+    published(fig)
+}
+
+/// How many walks find light.
+fn check_rates(fig: &mut Figure, mapped: &[Ball], displaced: &[Ball]) {
+    let rates = |balls: &[Ball]| balls.iter().map(|b| b.light.lit()).collect::<Vec<f64>>();
     let (mapped, displaced) = (rates(mapped), rates(displaced));
     let falls = |r: &[f64]| r.windows(2).all(|w| w[1] < w[0]);
     let found = format!("{mapped:.3?} with normal maps, {displaced:.3?} displaced");
@@ -74,39 +89,117 @@ pub fn figure(fig: &mut Figure) -> Result {
         falls(&mapped) && falls(&displaced),
         &found,
     );
-    let worst = mapped
-        .iter()
-        .zip(&displaced)
-        .map(|(a, b)| (b / a - 1.0).abs());
-    let worst = worst.fold(0.0, f64::max);
+    let apart = mapped.iter().zip(&displaced);
+    let worst = apart.map(|(a, b)| (b / a - 1.0).abs()).fold(0.0, f64::max);
     fig.check(
         "displaced or mapped, success rates are within 30 %",
         worst < 0.3,
         format!("{:.1} % apart at most: {found}", 100.0 * worst),
     );
-    let trials = |k: usize| table[k][4];
-    fig.check(
-        "and trials per solution grow",
-        trials(2) > trials(0) && trials(5) > trials(3),
-        format!("{:.2?}", (0..6).map(trials).collect::<Vec<_>>()),
-    );
-    fig.images("bumps", 3, &panels);
     let chart = LineChart::new("walks that find light", "slope", "success rate")
         .log_x()
         .measured("normal map", SLOPES.into_iter().zip(mapped))
         .measured("displaced", SLOPES.into_iter().zip(displaced));
     fig.chart("rates", &chart);
+}
+
+/// What a solution costs: trials, steps and samples in the same time.
+fn check_cost(fig: &mut Figure, mapped: &[Ball], displaced: &[Ball], runs: u64) {
+    let both = || [mapped, displaced];
+    let trials = both().map(|balls| balls.iter().map(|b| b.light.trials()).collect::<Vec<_>>());
+    let grows = |t: &Vec<f64>| t[t.len() - 1] > t[0];
+    let apart = (trials[0].iter().zip(&trials[1])).map(|(a, b)| (b / a).max(a / b));
+    let apart = apart.fold(1.0, f64::max);
+    fig.check(
+        "trials per solution grow with the bumps, and are alike on displaced and mapped balls",
+        trials.iter().all(grows) && apart < 1.5,
+        format!(
+            "{:.2?} with normal maps, {:.2?} displaced: {apart:.2} times as many at most",
+            trials[0], trials[1]
+        ),
+    );
+    // In the time of the first.
+    let seconds = mapped[0].light.seconds;
+    let samples = both().map(|balls| {
+        let each = balls.iter().map(|b| b.samples_in(runs, seconds));
+        each.collect::<Vec<f64>>()
+    });
+    let ratio = samples[1].iter().sum::<f64>() / samples[0].iter().sum::<f64>();
+    let found = format!(
+        "{:.1?} per pixel with normal maps, {:.1?} displaced, {ratio:.2} times as many all in all",
+        samples[0], samples[1]
+    );
+    fig.note("samples in the same time", found.as_str());
+    // Times of a moment say little.
+    if fig.pick(false, true) {
+        fig.check(
+            "displaced balls get fewer samples in the same time, but no less than a fifth as many",
+            (0.2..1.0).contains(&ratio),
+            found,
+        );
+    }
+    let chart = LineChart::new("what bumps cost", "slope", "trials per solution, samples")
+        .log_x()
+        .log_y()
+        .measured(
+            "trials, normal map",
+            SLOPES.into_iter().zip(trials[0].clone()),
+        )
+        .measured(
+            "trials, displaced",
+            SLOPES.into_iter().zip(trials[1].clone()),
+        )
+        .measured(
+            "samples, normal map",
+            SLOPES.into_iter().zip(samples[0].clone()),
+        )
+        .measured(
+            "samples, displaced",
+            SLOPES.into_iter().zip(samples[1].clone()),
+        );
+    fig.chart("cost", &chart);
+    let all = || mapped.iter().chain(displaced);
+    let panels = all().map(|b| {
+        let kind = if b.displaced {
+            "displaced"
+        } else {
+            "normal map"
+        };
+        let label = format!(
+            "{kind}, {}: {:.0} spp, {:.1} %",
+            b.slope,
+            b.samples_in(runs, seconds),
+            100.0 * b.light.lit()
+        );
+        b.light.panel(&label, &b.light, fig.pick(14, 5))
+    });
+    let panels: Vec<_> = panels.collect();
+    fig.images("bumps", 3, &panels);
+    let rows = all().map(|b| {
+        let m = &b.light;
+        [
+            f64::from(u8::from(b.displaced)),
+            b.slope,
+            m.lit(),
+            m.success(),
+            m.trials(),
+            m.found.steps as f64 / m.found.walks.max(1) as f64,
+            m.mean(),
+            b.samples_in(runs, seconds),
+        ]
+    });
     let columns = [
         "displaced",
         "slope",
         "with_light",
         "success_rate",
         "trials",
+        "steps_per_walk",
         "mean",
-        "seconds",
+        "samples_in_the_same_time",
     ];
-    fig.csv("rates", &columns, table);
-    published(fig)
+    let rows: Vec<_> = rows.collect();
+    fig.csv("rates", &columns, rows);
 }
 
 /// The balls of the authors, where they are; those that are displaced are not there, and come from what the normal maps say.

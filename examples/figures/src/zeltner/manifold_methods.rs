@@ -14,6 +14,7 @@ use render::{Job, RenderError, Scene, Settings};
 use crate::statistics::{Series, grey};
 use examples::chart::Panel;
 use examples::figure::{Figure, Result};
+use examples::ranks::median;
 
 /// Pixels of each side of the blocks in which means are compared.
 const BLOCK: usize = 4;
@@ -24,6 +25,8 @@ pub struct Measured {
     pub series: Series,
     /// What walks came to, over all runs.
     pub found: Statistics,
+    /// The same by pixel, where connections ask for it.
+    pub by_pixel: Vec<Statistics>,
     /// Seconds that all runs took together; images that leave chains out are not counted.
     pub seconds: f64,
     /// Samples per pixel of a run.
@@ -75,9 +78,43 @@ impl Measured {
 
     /// Square of what it misses, summed over the pixels, against what is unbiased: noise of both is taken off.
     pub fn squared_bias(&self, unbiased: &Self) -> f64 {
+        let each = self.squared_bias_by_pixel(unbiased);
+        each.iter().sum::<f64>().max(0.0)
+    }
+
+    /// Square of what each pixel misses against what is unbiased: noise of both is taken off, so that it may be negative.
+    pub fn squared_bias_by_pixel(&self, unbiased: &Self) -> Vec<f64> {
         let pairs = self.series.pixels.iter().zip(&unbiased.series.pixels);
-        let each = pairs.map(|(a, b)| (a.mean - b.mean).powi(2) - a.se * a.se - b.se * b.se);
-        each.sum::<f64>().max(0.0)
+        pairs
+            .map(|(a, b)| (a.mean - b.mean).powi(2) - a.se * a.se - b.se * b.se)
+            .collect()
+    }
+
+    /// The part of the light that is missing against what is unbiased, over pixels that are chosen without a look at either.
+    pub fn loss(&self, unbiased: &Self, chosen: impl Fn(usize) -> bool) -> Estimate {
+        let [part, whole] = [self, unbiased].map(|m| {
+            let pixels = m.series.pixels.iter().enumerate();
+            let (mean, square) = pixels
+                .filter(|(i, _)| chosen(*i))
+                .fold((0.0, 0.0), |(mean, square), (_, e)| {
+                    (mean + e.mean, square + e.se * e.se)
+                });
+            let se = square.sqrt();
+            Estimate { mean, se }
+        });
+        let ratio = part.mean / whole.mean;
+        let se = (part.se / whole.mean).hypot(ratio * whole.se / whole.mean);
+        Estimate {
+            mean: 1.0 - ratio,
+            se,
+        }
+    }
+
+    /// Trials per solution in each pixel; zero where there is no solution. Of connections that ask for it.
+    pub fn trials_by_pixel(&self) -> Vec<f64> {
+        let each = self.by_pixel.iter();
+        each.map(|s| s.trials as f64 / s.solutions.max(1) as f64)
+            .collect()
     }
 
     /// Variance of a single sample per run, summed over the pixels.
@@ -88,6 +125,11 @@ impl Measured {
     /// Variance after so many seconds, summed over the pixels.
     pub fn variance_after(&self, seconds: f64) -> f64 {
         self.variance() * self.seconds / seconds
+    }
+
+    /// Root of the mean squared error of a pixel after so many seconds, of what is unbiased.
+    pub fn error_after(&self, seconds: f64) -> f64 {
+        (self.variance_after(seconds) / self.series.pixels.len() as f64).sqrt()
     }
 
     /// Its picture in false colour, twice the mean of `reference` in the middle of the scale, each pixel `factor` wide.
@@ -188,8 +230,13 @@ pub fn measure_in(
         ..connections
     }));
     let mut found = Statistics::default();
+    let mut by_pixel = Vec::new();
     for image in &with {
         found.merge(&image.connections);
+        by_pixel.resize(image.connections_by_pixel.len(), Statistics::default());
+        for (sum, pixel) in by_pixel.iter_mut().zip(&image.connections_by_pixel) {
+            sum.merge(&pixel.statistics);
+        }
     }
     let scale = 1.0 / effort.spp as f64;
     let series = Series::of(effort.runs, [width, side], |run| {
@@ -200,6 +247,7 @@ pub fn measure_in(
     Ok(Measured {
         series,
         found,
+        by_pixel,
         seconds,
         spp: effort.spp,
         width,
@@ -232,10 +280,43 @@ pub fn by_particles(
     Ok(Measured {
         series,
         found: Statistics::default(),
+        by_pixel: Vec::new(),
         seconds: start.elapsed().as_secs_f64(),
         spp: effort.spp,
         width,
     })
+}
+
+/// How many trials the solutions of each pixel take: where they take many they are rare.
+pub struct Rare {
+    /// Zero where there are none.
+    pub trials: Vec<f64>,
+    /// The middle of those that there are.
+    median: f64,
+}
+
+impl Rare {
+    /// By unbiased estimates with these connections, whose seeds nothing else has.
+    ///
+    /// # Errors
+    /// Those of rendering; no solutions.
+    pub fn of(scene: &Scene, connections: Connections, effort: Effort) -> Result<Self> {
+        let connections = Connections {
+            by_pixel: true,
+            ..connections
+        };
+        let trials = measure(scene, connections, false, effort)?.trials_by_pixel();
+        let some: Vec<f64> = trials.iter().copied().filter(|t| *t > 0.0).collect();
+        let median = median(&some).ok_or("no solutions")?;
+        Ok(Self { trials, median })
+    }
+
+    /// What a trial set misses of all light where solutions are rare, and where they are not.
+    pub fn losses(&self, set: &Measured, all: &Measured) -> [Estimate; 2] {
+        let is_rare = |i: usize| self.trials[i] > self.median;
+        let is_common = |i: usize| self.trials[i] > 0.0 && !is_rare(i);
+        [set.loss(all, is_rare), set.loss(all, is_common)]
+    }
 }
 
 /// How alike two differences of images are, over blocks: from -1 to 1.

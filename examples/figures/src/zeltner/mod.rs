@@ -5,6 +5,7 @@
 
 pub mod alg_3_1;
 pub mod alg_3_2;
+pub mod alg_3_3;
 pub mod alg_4_1;
 pub mod alg_4_3;
 mod authors;
@@ -73,6 +74,7 @@ mod fresnel_angles;
 mod glint_scenes;
 mod integrated_normals;
 pub mod integration_1d;
+mod known_solutions;
 mod manifold_comparison;
 mod manifold_methods;
 mod manifold_scenes;

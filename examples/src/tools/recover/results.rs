@@ -35,8 +35,7 @@ impl Recovery {
             fewest = fewest.min(after.as_ref().map_or(0, |r| r.samples));
             let file = out.join(self.views[view].file("after"));
             if let Some(after) = after.filter(|r| is_complete(r) || !file.exists()) {
-                let after = after.image(0);
-                image_io::write_exr(&file, &after)?;
+                let after = self.write_picture(&file, &after)?;
                 if let Some(before) = before {
                     let target = &self.problem.targets[view].image;
                     let row = [("before", before), ("after", &after), ("target", target)];
