@@ -12,18 +12,81 @@ use super::{Best, Hit, Ray};
 use crate::math::each;
 use smallvec::SmallVec;
 use std::cell::Cell;
-use wide::f32x16;
+use wide::{f32x8, f32x16};
 
 /// Up to this number of rays are faster one by one (decision 0031).
 const FEW: u32 = 6;
 
 /// A child that some rays of a packet still have to visit.
+#[derive(Clone, Copy)]
 struct Visit {
     node: Child,
     /// One bit per ray.
     rays: u32,
     /// Where each ray enters it.
     near: f32x16,
+}
+
+thread_local! {
+    /// What the last packet had to visit: long enough for most, and not made anew for each.
+    static VISITS: Cell<Vec<Visit>> = const { Cell::new(Vec::new()) };
+}
+
+/// What a packet has still to visit; what comes next is last.
+struct Open {
+    /// With room for the children of a node behind the `count` that there are.
+    visits: Vec<Visit>,
+    count: usize,
+}
+
+impl Open {
+    /// The root, for all of these rays.
+    #[inline(always)]
+    fn new(rays: u32) -> Self {
+        let mut open = Self {
+            visits: VISITS.take(),
+            count: 0,
+        };
+        open.room()[0] = Visit {
+            node: Child::ROOT,
+            rays,
+            near: f32x16::splat(0.0),
+        };
+        open.count = 1;
+        open
+    }
+
+    #[inline(always)]
+    fn pop(&mut self) -> Option<Visit> {
+        self.count = self.count.checked_sub(1)?;
+        self.visits.get(self.count).copied()
+    }
+
+    /// Room for the children of a node, behind those that there are.
+    #[inline(always)]
+    fn room(&mut self) -> &mut [Visit] {
+        if self.visits.len() < self.count + NODE_WIDTH {
+            self.grow();
+        }
+        &mut self.visits[self.count..self.count + NODE_WIDTH]
+    }
+
+    #[cold]
+    #[inline(never)]
+    fn grow(&mut self) {
+        let nothing = Visit {
+            node: Child::ROOT,
+            rays: 0,
+            near: f32x16::splat(0.0),
+        };
+        self.visits.resize(2 * self.count + 64, nothing);
+    }
+
+    /// Keeps the memory for the next packet.
+    #[inline(always)]
+    fn close(self) {
+        VISITS.set(self.visits);
+    }
 }
 
 /// A packet prepared for node tests.
@@ -67,19 +130,93 @@ impl<'a> Interleaved<'a> {
         }
     }
 
-    /// Which of `rays` enter child `k` before their `limit`, and where.
+    /// The planes of a node's children, moved outwards.
     #[inline(always)]
-    fn test(&self, node: &Node, k: usize, rays: u32, limit: f32x16) -> (u32, f32x16) {
+    fn widened(&self, node: &Node) -> [[[f32; NODE_WIDTH]; 2]; 3] {
+        let slack = f32x8::splat(self.slack);
+        each(node.planes, |[lower, upper]: [[f32; NODE_WIDTH]; 2]| {
+            let (lower, upper) = (f32x8::from(lower) - slack, f32x8::from(upper) + slack);
+            [lower.to_array(), upper.to_array()]
+        })
+    }
+
+    /// Which rays enter child `k` before their `limit`, and where.
+    #[inline(always)]
+    fn test(&self, planes: &[[[f32; NODE_WIDTH]; 2]; 3], k: usize, limit: f32x16) -> (u32, f32x16) {
         let mut near = f32x16::splat(0.0);
         let mut far = limit;
         for axis in 0..3 {
-            let [lower, upper] = &node.planes[axis];
+            let [lower, upper] = &planes[axis];
             let plane = |x: f32| f32x16::splat(x).mul_add(self.inverse[axis], self.base[axis]);
-            let (a, b) = (plane(lower[k] - self.slack), plane(upper[k] + self.slack));
+            let (a, b) = (plane(lower[k]), plane(upper[k]));
             near = near.fast_max(a.fast_min(b));
             far = far.fast_min(a.fast_max(b));
         }
-        (near.simd_le(far).to_bitmask() & rays, near)
+        (near.simd_le(far).to_bitmask(), near)
+    }
+
+    /// Puts the children that some of `rays` enter before their `limit` first, and tells how many these are: the nearest last,
+    /// by where the first ray of each enters it, if `ORDERED`. Which there are is hardly ever the same twice: nothing
+    /// branches on it.
+    #[inline(always)]
+    // Iterators over several arrays are no vector instructions.
+    #[allow(clippy::needless_range_loop)]
+    fn enter<const ORDERED: bool>(
+        &self,
+        node: &Node,
+        rays: u32,
+        limit: f32x16,
+        room: &mut [Visit],
+    ) -> usize {
+        let planes = self.widened(node);
+        let mut count = 0;
+        if !ORDERED {
+            for k in 0..NODE_WIDTH {
+                let (entered, near) = self.test(&planes, k, limit);
+                let child = node.children[k];
+                let rays = if child.is_nothing() {
+                    0
+                } else {
+                    entered & rays
+                };
+                room[count % NODE_WIDTH] = Visit {
+                    node: child,
+                    rays,
+                    near,
+                };
+                count += usize::from(rays != 0);
+            }
+            return count;
+        }
+        let mut visits = [(0, f32x16::splat(0.0)); NODE_WIDTH];
+        // Distances are not negative, so that their bits are in their order; the lowest ones make all different. What is not
+        // entered comes behind all else.
+        let mut keys = [0_i32; NODE_WIDTH];
+        for k in 0..NODE_WIDTH {
+            let (entered, near) = self.test(&planes, k, limit);
+            let there = !node.children[k].is_nothing();
+            let rays = if there { entered & rays } else { 0 };
+            visits[k] = (rays, near);
+            let distance = near.to_array()[rays.trailing_zeros() as usize % PACKET_SIZE];
+            let key = (distance.to_bits() as i32 & !7) | k as i32;
+            keys[k] = if rays != 0 { key } else { k as i32 - 8 };
+            count += usize::from(rays != 0);
+        }
+        let mut places = [0_u32; NODE_WIDTH];
+        for key in keys {
+            for k in 0..NODE_WIDTH {
+                places[k] += u32::from(key > keys[k]);
+            }
+        }
+        for k in 0..NODE_WIDTH {
+            let (rays, near) = visits[k];
+            room[places[k] as usize % NODE_WIDTH] = Visit {
+                node: node.children[k],
+                rays,
+                near,
+            };
+        }
+        count
     }
 
     #[inline(always)]
@@ -169,20 +306,20 @@ impl Alone {
             let search = &mut searches[single.lane % PACKET_SIZE];
             search.reverse();
             if let Some(child) = step(single, search, None) {
+                tree.fetch(child);
                 left[count % PACKET_SIZE] = (k, Some(child));
                 count += 1;
             }
         }
         while count > 0 {
-            for (_, child) in &left[..count.min(PACKET_SIZE)] {
-                child.iter().for_each(|&child| tree.fetch(child));
-            }
             let before = std::mem::take(&mut count);
             for at in 0..before.min(PACKET_SIZE) {
                 let (k, child) = left[at];
                 let single = &self.rays[k];
                 let search = &mut searches[single.lane % PACKET_SIZE];
                 let next = step(single, search, child);
+                // Near before it is the ray's turn again.
+                next.iter().for_each(|&child| tree.fetch(child));
                 left[count % PACKET_SIZE] = (k, next);
                 count += usize::from(next.is_some());
             }
@@ -215,7 +352,7 @@ impl Tree {
         }
         let rays_in_flight = Interleaved::new(packet, self);
         let mut alone = Alone::new();
-        self.descend(
+        self.descend::<_, true>(
             &rays_in_flight,
             &mut nearest,
             &mut alone,
@@ -252,7 +389,7 @@ impl Tree {
         let rays_in_flight = Interleaved::new(packet, self);
         let mut occluded = 0;
         let mut alone = Alone::new();
-        self.descend(
+        self.descend::<_, false>(
             &rays_in_flight,
             &mut occluded,
             &mut alone,
@@ -364,11 +501,11 @@ impl Tree {
         }
     }
 
-    /// Visits the nodes that rays of a packet enter, roughly front to back; rays that are left with a part of the tree
-    /// go to `alone`. `limit` tells the distances up to which the rays look and which of them still do, `leaf` tests a
-    /// leaf for some rays.
+    /// Visits the nodes that rays of a packet enter, roughly front to back if `ORDERED`; rays that are left with a part of
+    /// the tree go to `alone`. `limit` tells the distances up to which the rays look and which of them still do, `leaf`
+    /// tests a leaf for some rays.
     #[inline(always)]
-    fn descend<T>(
+    fn descend<T, const ORDERED: bool>(
         &self,
         rays_in_flight: &Interleaved,
         state: &mut T,
@@ -379,12 +516,7 @@ impl Tree {
         if self.nodes.is_empty() {
             return;
         }
-        let mut open = SmallVec::<[Visit; 32]>::new();
-        open.push(Visit {
-            node: Child::ROOT,
-            rays: (1 << rays_in_flight.packet.len()) - 1,
-            near: f32x16::splat(0.0),
-        });
+        let mut open = Open::new((1 << rays_in_flight.packet.len()) - 1);
         while let Some(visit) = open.pop() {
             let (far, looking) = limit(state);
             let rays = visit.rays & looking & visit.near.simd_le(far).to_bitmask();
@@ -402,35 +534,9 @@ impl Tree {
                 continue;
             }
             let node = &self.nodes[index];
-            // In the order in which the first ray of each enters them, the nearest last.
-            let mut entered = [(0, f32x16::splat(0.0)); NODE_WIDTH];
-            let mut order = [(0.0, 0); NODE_WIDTH];
-            let mut n = 0;
-            for (k, &child) in node.children.iter().enumerate() {
-                if child.is_nothing() {
-                    break;
-                }
-                entered[k] = rays_in_flight.test(node, k, rays, far);
-                let (rays, near) = &entered[k];
-                if *rays != 0 {
-                    let distance = near.to_array()[rays.trailing_zeros() as usize % PACKET_SIZE];
-                    let mut at = n;
-                    while at > 0 && order[at - 1].0 < distance {
-                        order[at] = order[at - 1];
-                        at -= 1;
-                    }
-                    order[at] = (distance, k);
-                    n += 1;
-                }
-            }
-            for &(_, k) in &order[..n] {
-                let (rays, near) = entered[k];
-                open.push(Visit {
-                    node: node.children[k],
-                    rays,
-                    near,
-                });
-            }
+            let room = open.room();
+            open.count += rays_in_flight.enter::<ORDERED>(node, rays, far, room);
         }
+        open.close();
     }
 }
