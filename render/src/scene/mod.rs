@@ -55,7 +55,7 @@ use crate::params::{GradSink, ParamRef, Params, Theta};
 use crate::sampler::Points;
 use crate::shape::{
     AnyShape, Exit, Partials, Patch, Prim, Shape, SurfaceAdjoint, SurfaceCoordinates,
-    SurfaceInteraction,
+    SurfaceInteraction, Triangle,
 };
 
 pub(crate) use pixels::PixelShares;
@@ -733,6 +733,16 @@ impl Scene {
             shape, patch, exit, ..
         } = self.geometry.prim(hit.prim);
         (shape, exit, self.geometry.patches.get(patch as usize))
+    }
+
+    /// The triangle that was hit, if it is one of a mesh.
+    #[inline(always)]
+    pub(crate) fn triangle(&self, hit: &Hit) -> Option<Triangle> {
+        let Prim { shape, local, .. } = self.geometry.prim(hit.prim);
+        match &self.geometry.shapes[shape as usize] {
+            AnyShape::Mesh(mesh) => Some(mesh.triangle(local)),
+            _ => None,
+        }
     }
 
     /// Brings what [`Scene::interaction`] looks up near.
