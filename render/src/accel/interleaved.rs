@@ -98,6 +98,9 @@ struct Interleaved<'a> {
     base: [f32x16; 3],
     /// Widening of every box.
     slack: f32,
+    /// What rays that go on alone take along, lane by lane: `inverse`, and `base` less and more what that widening is along
+    /// them.
+    alone: [[[f32; PACKET_SIZE]; 3]; 3],
 }
 
 impl<'a> Interleaved<'a> {
@@ -120,14 +123,34 @@ impl<'a> Interleaved<'a> {
             }
             f32x16::from(d)
         });
-        let base = |k: usize| -from[k] * inverse[k];
+        let slack = SLACK * reach;
+        let axis = |k: usize| {
+            let base = -from[k] * inverse[k];
+            let along = inverse[k].abs() * f32x16::splat(slack);
+            [base, base - along, base + along]
+        };
+        let [x, y, z] = [axis(0), axis(1), axis(2)];
+        let of = |k: usize| [x[k].to_array(), y[k].to_array(), z[k].to_array()];
         Self {
             packet,
             lanes: RayLanes::of(o, d),
             inverse,
-            base: [base(0), base(1), base(2)],
-            slack: SLACK * reach,
+            base: [x[0], y[0], z[0]],
+            slack,
+            alone: [each(inverse, f32x16::to_array), of(1), of(2)],
         }
+    }
+
+    /// Those of a ray that goes on alone.
+    #[inline(always)]
+    fn slabs(&self, lane: usize) -> Slabs {
+        let lane = lane % PACKET_SIZE;
+        let [inverse, low, high] = &self.alone;
+        let base = |k: usize| [low[k][lane], high[k][lane]];
+        Slabs::of(
+            [inverse[0][lane], inverse[1][lane], inverse[2][lane]],
+            [base(0), base(1), base(2)],
+        )
     }
 
     /// The planes of a node's children, moved outwards.
@@ -272,7 +295,7 @@ impl Alone {
 
     /// A ray of a packet visits a child by itself, after those that it did not yet.
     #[inline(always)]
-    fn visit(&mut self, tree: &Tree, packet: &Interleaved, lane: usize, near: f32, child: Child) {
+    fn visit(&mut self, packet: &Interleaved, lane: usize, near: f32, child: Child) {
         let searches = self.searches.get_or_insert_with(|| {
             let made = || Box::new([const { Search::NONE }; PACKET_SIZE]);
             SEARCHES.take().unwrap_or_else(made)
@@ -282,7 +305,7 @@ impl Alone {
             self.started |= 1 << lane;
             search.clear();
             if let Some(ray) = packet.ray(lane) {
-                let slabs = Slabs::new(tree, &ray);
+                let slabs = packet.slabs(lane);
                 self.rays.push(Single { lane, ray, slabs });
             }
         }
@@ -302,7 +325,8 @@ impl Alone {
         // Those that are still on their way, and what they visit next.
         let mut left = [(0, None); PACKET_SIZE];
         let mut count = 0;
-        for (k, single) in self.rays.iter().enumerate() {
+        let rays = &self.rays[..];
+        for (k, single) in rays.iter().enumerate() {
             let search = &mut searches[single.lane % PACKET_SIZE];
             search.reverse();
             if let Some(child) = step(single, search, None) {
@@ -315,7 +339,7 @@ impl Alone {
             let before = std::mem::take(&mut count);
             for at in 0..before.min(PACKET_SIZE) {
                 let (k, child) = left[at];
-                let single = &self.rays[k];
+                let single = &rays[k];
                 let search = &mut searches[single.lane % PACKET_SIZE];
                 let next = step(single, search, child);
                 // Near before it is the ray's turn again.
@@ -529,7 +553,7 @@ impl Tree {
             if rays.count_ones() <= FEW {
                 let near = visit.near.to_array();
                 for lane in lanes(rays) {
-                    alone.visit(self, rays_in_flight, lane, near[lane], visit.node);
+                    alone.visit(rays_in_flight, lane, near[lane], visit.node);
                 }
                 continue;
             }
