@@ -52,6 +52,7 @@ use crate::film::Film;
 use crate::guide::Guide;
 use crate::math::{Frame, Ray, RayAdjoint, Segment};
 use crate::params::{GradSink, ParamRef, Params, Theta};
+use crate::prefetch::prefetch;
 use crate::sampler::Points;
 use crate::shape::{
     AnyShape, Exit, Partials, Patch, Prim, Shape, SurfaceAdjoint, SurfaceCoordinates,
@@ -743,6 +744,13 @@ impl Scene {
             AnyShape::Mesh(mesh) => Some(mesh.triangle(local)),
             _ => None,
         }
+    }
+
+    /// Says that [`Scene::fetch`] will be asked.
+    #[inline(always)]
+    pub(crate) fn expect(&self, hit: &Hit) {
+        let prim = self.geometry.prims.get(hit.prim as usize);
+        prim.into_iter().for_each(prefetch);
     }
 
     /// Brings what [`Scene::interaction`] looks up near.

@@ -390,6 +390,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         for like in lockstep::sorted(&all[..n], octant, &mut order).chunks(PACKET_SIZE) {
             rays.fill(like.len(), |k| ray(like[k % like.len()]));
             for (&i, found) in like.iter().zip(scene.nearest_packet(&rays)) {
+                found.iter().for_each(|hit| scene.expect(hit));
                 self.hits[i] = found;
             }
         }
