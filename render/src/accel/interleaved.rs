@@ -168,8 +168,7 @@ impl<'a> Interleaved<'a> {
     fn test(&self, planes: &[[[f32; NODE_WIDTH]; 2]; 3], k: usize, limit: f32x16) -> (u32, f32x16) {
         let mut near = f32x16::splat(0.0);
         let mut far = limit;
-        for axis in 0..3 {
-            let [lower, upper] = &planes[axis];
+        for (axis, [lower, upper]) in planes.iter().enumerate() {
             let plane = |x: f32| f32x16::splat(x).mul_add(self.inverse[axis], self.base[axis]);
             let (a, b) = (plane(lower[k]), plane(upper[k]));
             near = near.fast_max(a.fast_min(b));
@@ -212,8 +211,8 @@ impl<'a> Interleaved<'a> {
             return count;
         }
         let mut visits = [(0, f32x16::splat(0.0)); NODE_WIDTH];
-        // Distances are not negative, so that their bits are in their order; the lowest ones make all different. What is not
-        // entered comes behind all else.
+        // Distances are not negative, so that their bits are in their order, but for the sign of zero; the lowest ones make all
+        // different. What is not entered comes behind all else.
         let mut keys = [0_i32; NODE_WIDTH];
         for k in 0..NODE_WIDTH {
             let (entered, near) = self.test(&planes, k, limit);
@@ -221,7 +220,7 @@ impl<'a> Interleaved<'a> {
             let rays = if there { entered & rays } else { 0 };
             visits[k] = (rays, near);
             let distance = near.to_array()[rays.trailing_zeros() as usize % PACKET_SIZE];
-            let key = (distance.to_bits() as i32 & !7) | k as i32;
+            let key = (distance.to_bits() & 0x7fff_fff8) as i32 | k as i32;
             keys[k] = if rays != 0 { key } else { k as i32 - 8 };
             count += usize::from(rays != 0);
         }
@@ -562,5 +561,62 @@ impl Tree {
             open.count += rays_in_flight.enter::<ORDERED>(node, rays, far, room);
         }
         open.close();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::accel::Primitive;
+
+    /// Children are in the order in which they are entered, wherever they are in the node; one that is entered at a zero
+    /// that is negative is among them.
+    #[test]
+    fn packets_enter_children_from_the_nearest_on() {
+        let unit = Primitive::Sphere {
+            center: [0.0; 3],
+            radius: 1.0,
+        };
+        let items = super::super::prepare(&[unit], &[0], &[]).expect("a primitive");
+        let tree = Tree::new(&items, &[]).expect("a tree");
+        let mut packet = RayPacket::default();
+        packet.fill(PACKET_SIZE, |_| ([0.0; 3], [-1.0, 0.0, 0.0], 9.0, [7; 2]));
+        let mut rays = Interleaved::new(&packet, &tree);
+        rays.slack = 0.0;
+        rays.inverse = [f32x16::splat(-1.0); 3];
+        rays.base = [f32x16::splat(-0.0); 3];
+        let nothing = Visit {
+            node: Child::ROOT,
+            rays: 0,
+            near: f32x16::splat(0.0),
+        };
+        for turn in 0..NODE_WIDTH {
+            let mut node = tree.nodes[0].clone();
+            let place = |k: usize| (3 * k + turn) % NODE_WIDTH;
+            for k in 0..NODE_WIDTH {
+                node.planes = each([0, 1, 2], |axis: usize| {
+                    let [mut lower, mut upper] = node.planes[axis];
+                    // Where the last one begins, all rays have ended.
+                    let from = if place(k) == NODE_WIDTH - 1 {
+                        10.0
+                    } else {
+                        place(k) as f32
+                    };
+                    (upper[k], lower[k]) = (if place(k) == 0 { 0.0 } else { -from }, -12.0);
+                    [lower, upper]
+                });
+                node.children[k] = tree.nodes[0].children[0];
+            }
+            let mut room = [nothing; NODE_WIDTH];
+            let limit = f32x16::splat(9.0);
+            let count = rays.enter::<true>(&node, u32::MAX >> 16, limit, &mut room);
+            let near = |visit: &Visit| visit.near.to_array()[0];
+            let found: Vec<f32> = room[..count].iter().map(near).collect();
+            assert_eq!(found, [6.0, 5.0, 4.0, 3.0, 2.0, 1.0, 0.0], "{turn}");
+            let count = rays.enter::<false>(&node, u32::MAX >> 16, limit, &mut room);
+            let mut all: Vec<f32> = room[..count].iter().map(near).collect();
+            all.sort_by(|a, b| b.total_cmp(a));
+            assert_eq!(all, found);
+        }
     }
 }

@@ -564,7 +564,7 @@ impl Triangle {
 
     /// The point at barycentric `(u, v)`.
     #[inline(always)]
-    pub fn point<R: Real>(
+    pub(super) fn point<R: Real>(
         &self,
         u: R,
         v: R,
@@ -583,7 +583,7 @@ impl Triangle {
 
     /// See [`Shape::interaction`].
     #[inline(always)]
-    pub fn seen<R: Real>(
+    pub(super) fn seen<R: Real>(
         &self,
         ray: &Ray<R>,
         hit: &Hit,
@@ -603,7 +603,7 @@ impl Triangle {
     }
 
     /// The point there, if triangles are chosen by their part of an area.
-    pub fn sampled<R: Real>(
+    pub(super) fn sampled<R: Real>(
         &self,
         prim: u32,
         at: Vec2<R::Primal>,
@@ -628,7 +628,7 @@ impl Triangle {
     }
 
     /// See [`Shape::partials`].
-    pub fn partials<R: Real>(
+    pub(super) fn partials<R: Real>(
         &self,
         at: SurfaceCoordinates<R>,
         moving: Option<MovingTriangle<R>>,
