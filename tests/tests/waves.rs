@@ -685,6 +685,76 @@ fn composites() -> Case {
     rows("composites", &balls, &plates)
 }
 
+/// Meshes of so many triangles that there is a hierarchy: with and without normals and texture coordinates, with some that are
+/// zero or all the same, and turned around.
+fn rings() -> (Case, Scene) {
+    let dir = tempfile::tempdir().unwrap();
+    let ring = |k: u32, [normals, coordinates, odd]: [bool; 3], more: &str, bsdf: &str| {
+        let (around, across) = (14, 9);
+        let mut text = String::new();
+        let angle = |i: u32, n: u32| std::f64::consts::TAU * f64::from(i) / f64::from(n);
+        for (i, j) in (0..around).flat_map(|i| (0..across).map(move |j| (i, j))) {
+            let ((y, x), (t, s)) = (angle(i, around).sin_cos(), angle(j, across).sin_cos());
+            let r = 0.4 + 0.15 * s;
+            text += &format!("v {} {} {}\n", r * x, r * y, 0.15 * t);
+            let gone = odd && i % 3 == 0;
+            let [nx, ny, nz] = if gone { [0.0; 3] } else { [s * x, s * y, t] };
+            let [u, v] = if odd && j > 3 {
+                [0.5; 2]
+            } else {
+                [
+                    f64::from(i) / f64::from(around),
+                    f64::from(j) / f64::from(across),
+                ]
+            };
+            text += &format!("vn {nx} {ny} {nz}\nvt {u} {v}\n");
+        }
+        let corner = |i: u32, j: u32| {
+            let at = (i % around) * across + j % across + 1;
+            match (coordinates, normals) {
+                (true, true) => format!("{at}/{at}/{at}"),
+                (true, false) => format!("{at}/{at}"),
+                (false, true) => format!("{at}//{at}"),
+                (false, false) => format!("{at}"),
+            }
+        };
+        for (i, j) in (0..around).flat_map(|i| (0..across).map(move |j| (i, j))) {
+            let [a, b] = [corner(i, j), corner(i + 1, j)];
+            let [c, d] = [corner(i + 1, j + 1), corner(i, j + 1)];
+            text += &format!("f {a} {b} {c} {d}\n");
+        }
+        let file = dir.path().join(format!("{k}.obj"));
+        std::fs::write(&file, text).unwrap();
+        let (x, y) = (1.1 * f64::from(k % 3) - 1.1, 1.1 * f64::from(k / 3) - 0.3);
+        format!(
+            r#"<shape type="obj"><string name="filename" value="{}"/>{more}
+               <transform name="to_world"><rotate x="1" y="0.4" angle="{}"/><translate x="{x}" y="{y}"/></transform>{bsdf}</shape>"#,
+            file.display(),
+            25 * k
+        )
+    };
+    let brushed = r#"<bsdf type="roughconductor"><float name="alpha_u" value="0.05"/><float name="alpha_v" value="0.4"/></bsdf>"#;
+    let both = format!(r#"<bsdf type="twosided">{brushed}</bsdf>"#);
+    let print = format!(
+        r#"<bsdf type="twosided"><bsdf type="diffuse"><texture name="reflectance" {SQUARES}<rgb name="color0" value="0.8, 0.3, 0.1"/>
+           <rgb name="color1" value="0.1, 0.5, 0.7"/></texture></bsdf></bsdf>"#
+    );
+    let flat = r#"<boolean name="face_normals" value="true"/>"#;
+    let turned = r#"<boolean name="flip_normals" value="true"/>"#;
+    let meshes = [
+        ring(0, [true, true, false], "", brushed),
+        ring(1, [false, true, false], flat, &both),
+        ring(2, [true, false, false], "", &both),
+        ring(3, [true, true, false], turned, &both),
+        ring(4, [true, true, true], "", &print),
+        ring(5, [false, false, false], "", &print),
+    ];
+    let case = rows("rings", &[], &[]);
+    let body = format!("{}{}", case.body, meshes.concat());
+    let scene = scene(&body);
+    (Case { body, ..case }, scene)
+}
+
 /// The cabinet, where all indices have become others than those of the file.
 fn denser() -> (Case, Scene) {
     let case = Case {
@@ -741,7 +811,7 @@ fn images_are_those_of_single_paths_bit_by_bit() {
         let scene = scene(&case.body);
         (case, scene)
     });
-    for (case, mut s) in all().chain(more).chain([strands(), denser()]) {
+    for (case, mut s) in all().chain(more).chain([strands(), denser(), rings()]) {
         let plain = s.settings;
         assert_same(case.name, &s, &plain, &[Mis, Detached, Emitter]);
         for points in [Points::Sobol, Points::Antithetic] {

@@ -680,8 +680,14 @@ impl Slabs {
             let base = -o[k] * inverse[k];
             [base - slack, base + slack]
         };
+        Self::of(inverse, [base(0), base(1), base(2)])
+    }
+
+    /// From one over a direction, and where planes at zero would be met, see `base`.
+    #[inline(always)]
+    pub fn of(inverse: [f32; 3], base: [[f32; 2]; 3]) -> Self {
         Self {
-            base: [base(0), base(1), base(2)],
+            base,
             first: each(inverse, |x| usize::from(x < 0.0)),
             inverse,
         }

@@ -12,18 +12,81 @@ use super::{Best, Hit, Ray};
 use crate::math::each;
 use smallvec::SmallVec;
 use std::cell::Cell;
-use wide::f32x16;
+use wide::{f32x8, f32x16};
 
 /// Up to this number of rays are faster one by one (decision 0031).
 const FEW: u32 = 6;
 
 /// A child that some rays of a packet still have to visit.
+#[derive(Clone, Copy)]
 struct Visit {
     node: Child,
     /// One bit per ray.
     rays: u32,
     /// Where each ray enters it.
     near: f32x16,
+}
+
+thread_local! {
+    /// What the last packet had to visit: long enough for most, and not made anew for each.
+    static VISITS: Cell<Vec<Visit>> = const { Cell::new(Vec::new()) };
+}
+
+/// What a packet has still to visit; what comes next is last.
+struct Open {
+    /// With room for the children of a node behind the `count` that there are.
+    visits: Vec<Visit>,
+    count: usize,
+}
+
+impl Open {
+    /// The root, for all of these rays.
+    #[inline(always)]
+    fn new(rays: u32) -> Self {
+        let mut open = Self {
+            visits: VISITS.take(),
+            count: 0,
+        };
+        open.room()[0] = Visit {
+            node: Child::ROOT,
+            rays,
+            near: f32x16::splat(0.0),
+        };
+        open.count = 1;
+        open
+    }
+
+    #[inline(always)]
+    fn pop(&mut self) -> Option<Visit> {
+        self.count = self.count.checked_sub(1)?;
+        self.visits.get(self.count).copied()
+    }
+
+    /// Room for the children of a node, behind those that there are.
+    #[inline(always)]
+    fn room(&mut self) -> &mut [Visit] {
+        if self.visits.len() < self.count + NODE_WIDTH {
+            self.grow();
+        }
+        &mut self.visits[self.count..self.count + NODE_WIDTH]
+    }
+
+    #[cold]
+    #[inline(never)]
+    fn grow(&mut self) {
+        let nothing = Visit {
+            node: Child::ROOT,
+            rays: 0,
+            near: f32x16::splat(0.0),
+        };
+        self.visits.resize(2 * self.count + 64, nothing);
+    }
+
+    /// Keeps the memory for the next packet.
+    #[inline(always)]
+    fn close(self) {
+        VISITS.set(self.visits);
+    }
 }
 
 /// A packet prepared for node tests.
@@ -35,6 +98,9 @@ struct Interleaved<'a> {
     base: [f32x16; 3],
     /// Widening of every box.
     slack: f32,
+    /// What rays that go on alone take along, lane by lane: `inverse`, and `base` less and more what that widening is along
+    /// them.
+    alone: [[[f32; PACKET_SIZE]; 3]; 3],
 }
 
 impl<'a> Interleaved<'a> {
@@ -57,29 +123,122 @@ impl<'a> Interleaved<'a> {
             }
             f32x16::from(d)
         });
-        let base = |k: usize| -from[k] * inverse[k];
+        let slack = SLACK * reach;
+        let axis = |k: usize| {
+            let base = -from[k] * inverse[k];
+            let along = inverse[k].abs() * f32x16::splat(slack);
+            [base, base - along, base + along]
+        };
+        let [x, y, z] = [axis(0), axis(1), axis(2)];
+        let of = |k: usize| [x[k].to_array(), y[k].to_array(), z[k].to_array()];
         Self {
             packet,
             lanes: RayLanes::of(o, d),
             inverse,
-            base: [base(0), base(1), base(2)],
-            slack: SLACK * reach,
+            base: [x[0], y[0], z[0]],
+            slack,
+            alone: [each(inverse, f32x16::to_array), of(1), of(2)],
         }
     }
 
-    /// Which of `rays` enter child `k` before their `limit`, and where.
+    /// Those of a ray that goes on alone.
     #[inline(always)]
-    fn test(&self, node: &Node, k: usize, rays: u32, limit: f32x16) -> (u32, f32x16) {
+    fn slabs(&self, lane: usize) -> Slabs {
+        let lane = lane % PACKET_SIZE;
+        let [inverse, low, high] = &self.alone;
+        let base = |k: usize| [low[k][lane], high[k][lane]];
+        Slabs::of(
+            [inverse[0][lane], inverse[1][lane], inverse[2][lane]],
+            [base(0), base(1), base(2)],
+        )
+    }
+
+    /// The planes of a node's children, moved outwards.
+    #[inline(always)]
+    fn widened(&self, node: &Node) -> [[[f32; NODE_WIDTH]; 2]; 3] {
+        let slack = f32x8::splat(self.slack);
+        each(node.planes, |[lower, upper]: [[f32; NODE_WIDTH]; 2]| {
+            let (lower, upper) = (f32x8::from(lower) - slack, f32x8::from(upper) + slack);
+            [lower.to_array(), upper.to_array()]
+        })
+    }
+
+    /// Which rays enter child `k` before their `limit`, and where.
+    #[inline(always)]
+    fn test(&self, planes: &[[[f32; NODE_WIDTH]; 2]; 3], k: usize, limit: f32x16) -> (u32, f32x16) {
         let mut near = f32x16::splat(0.0);
         let mut far = limit;
-        for axis in 0..3 {
-            let [lower, upper] = &node.planes[axis];
+        for (axis, [lower, upper]) in planes.iter().enumerate() {
             let plane = |x: f32| f32x16::splat(x).mul_add(self.inverse[axis], self.base[axis]);
-            let (a, b) = (plane(lower[k] - self.slack), plane(upper[k] + self.slack));
+            let (a, b) = (plane(lower[k]), plane(upper[k]));
             near = near.fast_max(a.fast_min(b));
             far = far.fast_min(a.fast_max(b));
         }
-        (near.simd_le(far).to_bitmask() & rays, near)
+        (near.simd_le(far).to_bitmask(), near)
+    }
+
+    /// Puts the children that some of `rays` enter before their `limit` first, and tells how many these are: the nearest last,
+    /// by where the first ray of each enters it, if `ORDERED`. Which there are is hardly ever the same twice: nothing
+    /// branches on it.
+    #[inline(always)]
+    // Iterators over several arrays are no vector instructions.
+    #[allow(clippy::needless_range_loop)]
+    fn enter<const ORDERED: bool>(
+        &self,
+        node: &Node,
+        rays: u32,
+        limit: f32x16,
+        room: &mut [Visit],
+    ) -> usize {
+        let planes = self.widened(node);
+        let mut count = 0;
+        if !ORDERED {
+            for k in 0..NODE_WIDTH {
+                let (entered, near) = self.test(&planes, k, limit);
+                let child = node.children[k];
+                let rays = if child.is_nothing() {
+                    0
+                } else {
+                    entered & rays
+                };
+                room[count % NODE_WIDTH] = Visit {
+                    node: child,
+                    rays,
+                    near,
+                };
+                count += usize::from(rays != 0);
+            }
+            return count;
+        }
+        let mut visits = [(0, f32x16::splat(0.0)); NODE_WIDTH];
+        // Distances are not negative, so that their bits are in their order, but for the sign of zero; the lowest ones make all
+        // different. What is not entered comes behind all else.
+        let mut keys = [0_i32; NODE_WIDTH];
+        for k in 0..NODE_WIDTH {
+            let (entered, near) = self.test(&planes, k, limit);
+            let there = !node.children[k].is_nothing();
+            let rays = if there { entered & rays } else { 0 };
+            visits[k] = (rays, near);
+            let distance = near.to_array()[rays.trailing_zeros() as usize % PACKET_SIZE];
+            let key = (distance.to_bits() & 0x7fff_fff8) as i32 | k as i32;
+            keys[k] = if rays != 0 { key } else { k as i32 - 8 };
+            count += usize::from(rays != 0);
+        }
+        let mut places = [0_u32; NODE_WIDTH];
+        for key in keys {
+            for k in 0..NODE_WIDTH {
+                places[k] += u32::from(key > keys[k]);
+            }
+        }
+        for k in 0..NODE_WIDTH {
+            let (rays, near) = visits[k];
+            room[places[k] as usize % NODE_WIDTH] = Visit {
+                node: node.children[k],
+                rays,
+                near,
+            };
+        }
+        count
     }
 
     #[inline(always)]
@@ -135,7 +294,7 @@ impl Alone {
 
     /// A ray of a packet visits a child by itself, after those that it did not yet.
     #[inline(always)]
-    fn visit(&mut self, tree: &Tree, packet: &Interleaved, lane: usize, near: f32, child: Child) {
+    fn visit(&mut self, packet: &Interleaved, lane: usize, near: f32, child: Child) {
         let searches = self.searches.get_or_insert_with(|| {
             let made = || Box::new([const { Search::NONE }; PACKET_SIZE]);
             SEARCHES.take().unwrap_or_else(made)
@@ -145,7 +304,7 @@ impl Alone {
             self.started |= 1 << lane;
             search.clear();
             if let Some(ray) = packet.ray(lane) {
-                let slabs = Slabs::new(tree, &ray);
+                let slabs = packet.slabs(lane);
                 self.rays.push(Single { lane, ray, slabs });
             }
         }
@@ -165,24 +324,25 @@ impl Alone {
         // Those that are still on their way, and what they visit next.
         let mut left = [(0, None); PACKET_SIZE];
         let mut count = 0;
-        for (k, single) in self.rays.iter().enumerate() {
+        let rays = &self.rays[..];
+        for (k, single) in rays.iter().enumerate() {
             let search = &mut searches[single.lane % PACKET_SIZE];
             search.reverse();
             if let Some(child) = step(single, search, None) {
+                tree.fetch(child);
                 left[count % PACKET_SIZE] = (k, Some(child));
                 count += 1;
             }
         }
         while count > 0 {
-            for (_, child) in &left[..count.min(PACKET_SIZE)] {
-                child.iter().for_each(|&child| tree.fetch(child));
-            }
             let before = std::mem::take(&mut count);
             for at in 0..before.min(PACKET_SIZE) {
                 let (k, child) = left[at];
-                let single = &self.rays[k];
+                let single = &rays[k];
                 let search = &mut searches[single.lane % PACKET_SIZE];
                 let next = step(single, search, child);
+                // Near before it is the ray's turn again.
+                next.iter().for_each(|&child| tree.fetch(child));
                 left[count % PACKET_SIZE] = (k, next);
                 count += usize::from(next.is_some());
             }
@@ -215,7 +375,7 @@ impl Tree {
         }
         let rays_in_flight = Interleaved::new(packet, self);
         let mut alone = Alone::new();
-        self.descend(
+        self.descend::<_, true>(
             &rays_in_flight,
             &mut nearest,
             &mut alone,
@@ -252,7 +412,7 @@ impl Tree {
         let rays_in_flight = Interleaved::new(packet, self);
         let mut occluded = 0;
         let mut alone = Alone::new();
-        self.descend(
+        self.descend::<_, false>(
             &rays_in_flight,
             &mut occluded,
             &mut alone,
@@ -364,11 +524,11 @@ impl Tree {
         }
     }
 
-    /// Visits the nodes that rays of a packet enter, roughly front to back; rays that are left with a part of the tree
-    /// go to `alone`. `limit` tells the distances up to which the rays look and which of them still do, `leaf` tests a
-    /// leaf for some rays.
+    /// Visits the nodes that rays of a packet enter, roughly front to back if `ORDERED`; rays that are left with a part of
+    /// the tree go to `alone`. `limit` tells the distances up to which the rays look and which of them still do, `leaf`
+    /// tests a leaf for some rays.
     #[inline(always)]
-    fn descend<T>(
+    fn descend<T, const ORDERED: bool>(
         &self,
         rays_in_flight: &Interleaved,
         state: &mut T,
@@ -379,12 +539,7 @@ impl Tree {
         if self.nodes.is_empty() {
             return;
         }
-        let mut open = SmallVec::<[Visit; 32]>::new();
-        open.push(Visit {
-            node: Child::ROOT,
-            rays: (1 << rays_in_flight.packet.len()) - 1,
-            near: f32x16::splat(0.0),
-        });
+        let mut open = Open::new((1 << rays_in_flight.packet.len()) - 1);
         while let Some(visit) = open.pop() {
             let (far, looking) = limit(state);
             let rays = visit.rays & looking & visit.near.simd_le(far).to_bitmask();
@@ -397,40 +552,71 @@ impl Tree {
             if rays.count_ones() <= FEW {
                 let near = visit.near.to_array();
                 for lane in lanes(rays) {
-                    alone.visit(self, rays_in_flight, lane, near[lane], visit.node);
+                    alone.visit(rays_in_flight, lane, near[lane], visit.node);
                 }
                 continue;
             }
             let node = &self.nodes[index];
-            // In the order in which the first ray of each enters them, the nearest last.
-            let mut entered = [(0, f32x16::splat(0.0)); NODE_WIDTH];
-            let mut order = [(0.0, 0); NODE_WIDTH];
-            let mut n = 0;
-            for (k, &child) in node.children.iter().enumerate() {
-                if child.is_nothing() {
-                    break;
-                }
-                entered[k] = rays_in_flight.test(node, k, rays, far);
-                let (rays, near) = &entered[k];
-                if *rays != 0 {
-                    let distance = near.to_array()[rays.trailing_zeros() as usize % PACKET_SIZE];
-                    let mut at = n;
-                    while at > 0 && order[at - 1].0 < distance {
-                        order[at] = order[at - 1];
-                        at -= 1;
-                    }
-                    order[at] = (distance, k);
-                    n += 1;
-                }
-            }
-            for &(_, k) in &order[..n] {
-                let (rays, near) = entered[k];
-                open.push(Visit {
-                    node: node.children[k],
-                    rays,
-                    near,
+            let room = open.room();
+            open.count += rays_in_flight.enter::<ORDERED>(node, rays, far, room);
+        }
+        open.close();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::accel::Primitive;
+
+    /// Children are in the order in which they are entered, wherever they are in the node; one that is entered at a zero
+    /// that is negative is among them.
+    #[test]
+    fn packets_enter_children_from_the_nearest_on() {
+        let unit = Primitive::Sphere {
+            center: [0.0; 3],
+            radius: 1.0,
+        };
+        let items = super::super::prepare(&[unit], &[0], &[]).expect("a primitive");
+        let tree = Tree::new(&items, &[]).expect("a tree");
+        let mut packet = RayPacket::default();
+        packet.fill(PACKET_SIZE, |_| ([0.0; 3], [-1.0, 0.0, 0.0], 9.0, [7; 2]));
+        let mut rays = Interleaved::new(&packet, &tree);
+        rays.slack = 0.0;
+        rays.inverse = [f32x16::splat(-1.0); 3];
+        rays.base = [f32x16::splat(-0.0); 3];
+        let nothing = Visit {
+            node: Child::ROOT,
+            rays: 0,
+            near: f32x16::splat(0.0),
+        };
+        for turn in 0..NODE_WIDTH {
+            let mut node = tree.nodes[0].clone();
+            let place = |k: usize| (3 * k + turn) % NODE_WIDTH;
+            for k in 0..NODE_WIDTH {
+                node.planes = each([0, 1, 2], |axis: usize| {
+                    let [mut lower, mut upper] = node.planes[axis];
+                    // Where the last one begins, all rays have ended.
+                    let from = if place(k) == NODE_WIDTH - 1 {
+                        10.0
+                    } else {
+                        place(k) as f32
+                    };
+                    (upper[k], lower[k]) = (if place(k) == 0 { 0.0 } else { -from }, -12.0);
+                    [lower, upper]
                 });
+                node.children[k] = tree.nodes[0].children[0];
             }
+            let mut room = [nothing; NODE_WIDTH];
+            let limit = f32x16::splat(9.0);
+            let count = rays.enter::<true>(&node, u32::MAX >> 16, limit, &mut room);
+            let near = |visit: &Visit| visit.near.to_array()[0];
+            let found: Vec<f32> = room[..count].iter().map(near).collect();
+            assert_eq!(found, [6.0, 5.0, 4.0, 3.0, 2.0, 1.0, 0.0], "{turn}");
+            let count = rays.enter::<false>(&node, u32::MAX >> 16, limit, &mut room);
+            let mut all: Vec<f32> = room[..count].iter().map(near).collect();
+            all.sort_by(|a, b| b.total_cmp(a));
+            assert_eq!(all, found);
         }
     }
 }

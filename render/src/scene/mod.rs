@@ -53,10 +53,11 @@ use crate::film::Film;
 use crate::guide::Guide;
 use crate::math::{Frame, Ray, RayAdjoint, Segment};
 use crate::params::{GradSink, ParamRef, Params, Theta};
+use crate::prefetch::prefetch;
 use crate::sampler::Points;
 use crate::shape::{
     AnyShape, Exit, Partials, Patch, Prim, Shape, SurfaceAdjoint, SurfaceCoordinates,
-    SurfaceInteraction,
+    SurfaceInteraction, Triangle,
 };
 
 pub(crate) use pixels::PixelShares;
@@ -734,6 +735,23 @@ impl Scene {
             shape, patch, exit, ..
         } = self.geometry.prim(hit.prim);
         (shape, exit, self.geometry.patches.get(patch as usize))
+    }
+
+    /// The triangle that was hit, if it is one of a mesh.
+    #[inline(always)]
+    pub(crate) fn triangle(&self, hit: &Hit) -> Option<Triangle> {
+        let Prim { shape, local, .. } = self.geometry.prim(hit.prim);
+        match &self.geometry.shapes[shape as usize] {
+            AnyShape::Mesh(mesh) => Some(mesh.triangle(local)),
+            _ => None,
+        }
+    }
+
+    /// Says that [`Scene::fetch`] will be asked.
+    #[inline(always)]
+    pub(crate) fn expect(&self, hit: &Hit) {
+        let prim = self.geometry.prims.get(hit.prim as usize);
+        prim.into_iter().for_each(prefetch);
     }
 
     /// Brings what [`Scene::interaction`] looks up near.

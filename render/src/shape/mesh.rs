@@ -290,6 +290,12 @@ impl Mesh {
         !self.data.smooth && !self.data.mesh.normals.is_empty()
     }
 
+    /// What one of its triangles is made of.
+    #[inline(always)]
+    pub(crate) fn triangle(&self, prim: u32) -> Triangle {
+        self.data.triangle(prim as usize)
+    }
+
     /// Where its arrays are in memory.
     pub(crate) fn address(&self) -> usize {
         Arc::as_ptr(&self.data).addr()
@@ -364,10 +370,20 @@ pub(super) fn corners<T: Copy>(all: &[T], [a, b, c]: [u32; 3]) -> [T; 3] {
     [all[a as usize], all[b as usize], all[c as usize]]
 }
 
+/// [`Triangle::slopes`] of texture coordinates.
+#[inline(always)]
+fn slopes_in_line([a, b, c]: [[f32; 2]; 3]) -> [f64; 2] {
+    let minus = |x: f32, y: f32| f64::from(x) - f64::from(y);
+    let (dv1, dv2) = (minus(b[1], a[1]), minus(c[1], a[1]));
+    let det = minus(b[0], a[0]) * dv2 - dv1 * minus(c[0], a[0]);
+    let sign = f64::select(det == 0.0, 0.0, 1.0_f64.copysign(det));
+    [dv2 * sign, -(dv1 * sign)]
+}
+
 /// What a triangle of a mesh is made of, world space: all that is known of its surface follows from it. What rays ask is
 /// inlined, so that it stays in registers.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Triangle {
+pub(crate) struct Triangle {
     pub v0: [f32; 3],
     /// From there, rounded as the ray sees them.
     pub edges: [[f32; 3]; 2],
@@ -375,6 +391,62 @@ pub(super) struct Triangle {
     pub uvs: Option<[[f32; 2]; 3]>,
     /// Whether it is turned around.
     pub flip: bool,
+}
+
+/// The surface of a triangle at barycentric `(u, v)`, as [`Triangle::surface`] has it, number by number, in steps
+/// without a branch: for loops over many, in which what is looked up in memory is gathered before. Each tells whether it is
+/// right; otherwise [`Shape::interaction`] has to be asked.
+pub(crate) struct SurfaceInLine;
+
+impl SurfaceInLine {
+    /// [`Triangle::flat_normal`].
+    #[inline(always)]
+    pub fn flat_normal(e1: Vec3<f64>, e2: Vec3<f64>) -> (Vec3<f64>, bool) {
+        e1.cross(e2).unit()
+    }
+
+    /// [`Triangle::dp_du`], zero if the triangle is not `mapped`.
+    #[inline(always)]
+    pub fn dp_du([e1, e2]: [Vec3<f64>; 2], uvs: [[f32; 2]; 3], mapped: bool) -> (Vec3<f64>, bool) {
+        let [a, b] = slopes_in_line(uvs);
+        let there = mapped & ((a != 0.0) | (b != 0.0));
+        let (along, right) = (e1 * a + e2 * b).unit();
+        let along = Vec3::select(there, along, Vec3::zero());
+        (along, right | !there)
+    }
+
+    /// The unit normal that scattering goes by, and the geometric one on its side: of a triangle with the `flat` normal,
+    /// interpolated between `normals` if it is `smooth`.
+    #[inline(always)]
+    pub fn normals<P: Float>(
+        [w, u, v]: [P; 3],
+        flat: Vec3<P>,
+        [a, b, c]: [Vec3<P>; 3],
+        (smooth, flip): (bool, bool),
+    ) -> ([Vec3<P>; 2], bool) {
+        let (between, right) = (a * w + b * u + c * v).unit();
+        let n = Vec3::select(smooth, between, flat);
+        let behind = smooth & (between.dot(flat) < P::zero());
+        let n_geo = Vec3::select(behind, -flat, flat);
+        let turned = |x: Vec3<P>| Vec3::select(flip, -x, x);
+        ([turned(n), turned(n_geo)], right | !smooth)
+    }
+
+    /// [`Frame::from_normal_and_tangent`].
+    #[inline(always)]
+    pub fn frame<P: Float>(n: Vec3<P>, dp_du: Vec3<P>) -> (Frame<P>, bool) {
+        let some = Frame::from_normal(n);
+        let across = dp_du - n * n.dot(dp_du);
+        let limit = P::of(1e-12) * dp_du.length_squared();
+        let there = across.length_squared() > limit;
+        let (s, right) = across.unit();
+        let frame = Frame {
+            s: Vec3::select(there, s, some.s),
+            t: Vec3::select(there, n.cross(s), some.t),
+            n,
+        };
+        (frame, right | !there)
+    }
 }
 
 impl Triangle {
@@ -415,16 +487,7 @@ impl Triangle {
     /// coordinates are degenerate, or where there are none.
     #[inline(always)]
     pub fn slopes(&self) -> [f64; 2] {
-        let Some([a, b, c]) = self.uvs else {
-            return [0.0; 2];
-        };
-        let minus = |x: f32, y: f32| f64::from(x) - f64::from(y);
-        let (dv1, dv2) = (minus(b[1], a[1]), minus(c[1], a[1]));
-        let det = minus(b[0], a[0]) * dv2 - dv1 * minus(c[0], a[0]);
-        if det == 0.0 {
-            return [0.0; 2];
-        }
-        [dv2 * det.signum(), -(dv1 * det.signum())]
+        self.uvs.map_or([0.0; 2], slopes_in_line)
     }
 
     /// The direction of increasing u, zero where the texture coordinates are degenerate. Its length
@@ -501,7 +564,7 @@ impl Triangle {
 
     /// The point at barycentric `(u, v)`.
     #[inline(always)]
-    pub fn point<R: Real>(
+    pub(super) fn point<R: Real>(
         &self,
         u: R,
         v: R,
@@ -520,7 +583,7 @@ impl Triangle {
 
     /// See [`Shape::interaction`].
     #[inline(always)]
-    pub fn seen<R: Real>(
+    pub(super) fn seen<R: Real>(
         &self,
         ray: &Ray<R>,
         hit: &Hit,
@@ -540,7 +603,7 @@ impl Triangle {
     }
 
     /// The point there, if triangles are chosen by their part of an area.
-    pub fn sampled<R: Real>(
+    pub(super) fn sampled<R: Real>(
         &self,
         prim: u32,
         at: Vec2<R::Primal>,
@@ -565,7 +628,7 @@ impl Triangle {
     }
 
     /// See [`Shape::partials`].
-    pub fn partials<R: Real>(
+    pub(super) fn partials<R: Real>(
         &self,
         at: SurfaceCoordinates<R>,
         moving: Option<MovingTriangle<R>>,
@@ -752,6 +815,7 @@ impl Shape for Mesh {
         for i in mesh.triangles[prim as usize] {
             prefetch(&mesh.positions[i as usize]);
             mesh.normals.get(i as usize).into_iter().for_each(prefetch);
+            mesh.uvs.get(i as usize).into_iter().for_each(prefetch);
         }
     }
 

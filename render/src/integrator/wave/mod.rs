@@ -12,6 +12,7 @@
 #![allow(clippy::needless_range_loop)]
 
 mod derivatives;
+mod faces;
 mod kinds;
 mod lanes;
 mod lights;
@@ -25,6 +26,7 @@ mod waiting;
 use ad_core::{Float, Vec2, Vec3};
 pub(super) use derivatives::LayerAdjoints;
 use derivatives::albedo;
+use faces::Faces;
 use kinds::{Kinds, has_two_sides, seen_from, side};
 pub(super) use lanes::WAVE_SIZE;
 use lanes::{Field, Lane, Lanes, whole};
@@ -128,6 +130,8 @@ pub(super) struct Wave<P, X> {
     waiting: Waiting<P>,
     hits: [Option<Hit>; WAVE_SIZE],
     at: Vertices<P>,
+    /// Triangles that the paths have met.
+    faces: Faces<P>,
     /// Plain vertices whose albedo has to be looked up.
     textured: Vec<usize>,
     /// Vertices that are not, by kinds.
@@ -173,6 +177,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             waiting: Waiting::new(),
             hits: [None; WAVE_SIZE],
             at: Vertices::zero(),
+            faces: Faces::new(),
             textured: Vec::with_capacity(WAVE_SIZE),
             kinds: Kinds::new(),
             leaving: Leaving::new(),
@@ -287,6 +292,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             self.look_through_lamps(scene);
         }
         let guide = guide_of::<Of>(scene);
+        self.faces.find(scene, &self.hits[..self.n], &mut self.at);
         if !self.arrive::<Of, S, L>(context, guide, depth, log) {
             self.bounces.continues = Lane::zero();
             self.leave();
@@ -384,6 +390,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         for like in lockstep::sorted(&all[..n], octant, &mut order).chunks(PACKET_SIZE) {
             rays.fill(like.len(), |k| ray(like[k % like.len()]));
             for (&i, found) in like.iter().zip(scene.nearest_packet(&rays)) {
+                found.iter().for_each(|hit| scene.expect(hit));
                 self.hits[i] = found;
             }
         }
@@ -482,6 +489,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             let (shape, exit, patch) = scene.patch(hit);
             match patch {
                 Some(patch) => self.at.put(i, &patch.interaction(&ray, hit)),
+                None if self.faces.have(i) => {}
                 None => self.at.put(i, &scene.interaction(theta, &ray, hit).si),
             }
             let info = scene.shape_info(shape);

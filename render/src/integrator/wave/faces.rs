@@ -1,0 +1,183 @@
+//! Where paths meet triangles of meshes, at once.
+
+use ad_core::{Float, Vec3};
+
+use super::lanes::{Field, Lane, Lanes, WAVE_SIZE, lanes, whole};
+use super::state::Vertices;
+use crate::accel::Hit;
+use crate::scene::Scene;
+use crate::shape::{SurfaceInLine, Triangle, hit_is_exact};
+
+lanes! {
+    /// What the triangles are made of, and where they are hit.
+    Corners {
+        v0: Lanes<P>,
+        e1: Lanes<P>,
+        e2: Lanes<P>,
+        /// Normals at the corners.
+        n0: Lanes<P>,
+        n1: Lanes<P>,
+        n2: Lanes<P>,
+        /// Texture coordinates there, one axis after the other.
+        u0: Lane<f32>,
+        u1: Lane<f32>,
+        u2: Lane<f32>,
+        v0_uv: Lane<f32>,
+        v1_uv: Lane<f32>,
+        v2_uv: Lane<f32>,
+        /// Whether there are such normals.
+        smooth: Lane<u32>,
+        /// Whether there are such coordinates.
+        mapped: Lane<u32>,
+        /// Whether the surface is turned around.
+        flip: Lane<u32>,
+        /// Barycentric coordinates.
+        u: Lane<P>,
+        v: Lane<P>,
+        /// Normal of the face.
+        flat: Lanes<P>,
+        /// Direction of increasing u.
+        dp_du: Lanes<P>,
+    }
+}
+
+/// Triangles that paths have met, path by path.
+pub struct Faces<P> {
+    corners: Box<Corners<P>>,
+    /// Whether the path has met one, and what was found there is right.
+    right: Lane<u32>,
+}
+
+impl<P: Float> Faces<P> {
+    /// Of no path.
+    pub fn new() -> Self {
+        Self {
+            corners: Box::new(Corners::zero()),
+            right: Lane::zero(),
+        }
+    }
+
+    /// Whether the place of path `i` has been found.
+    #[inline(always)]
+    pub fn have(&self, i: usize) -> bool {
+        self.right[i] != 0
+    }
+
+    /// Finds the places of all paths that have hit a triangle. Of others, nothing is right; nor is anything in scenes
+    /// without a hierarchy, where few hits are worth a look at each.
+    #[inline(always)]
+    pub fn find(&mut self, scene: &Scene, hits: &[Option<Hit>], at: &mut Vertices<P>) {
+        self.right = Lane::zero();
+        // Where hits are not exact, the point is found anew, from the ray.
+        if hit_is_exact::<P>() && scene.has_hierarchy() {
+            self.look(scene, hits, at);
+        }
+    }
+
+    #[inline(never)]
+    fn look(&mut self, scene: &Scene, hits: &[Option<Hit>], at: &mut Vertices<P>) {
+        let mut any = false;
+        for (i, hit) in hits.iter().enumerate().take(WAVE_SIZE) {
+            if let Some(hit) = hit
+                && let Some(triangle) = scene.triangle(hit)
+            {
+                self.corners.put(i, &triangle, hit);
+                self.right[i] = 1;
+                any = true;
+            }
+        }
+        if any {
+            let n = hits.len();
+            self.corners.find_normals(n, &mut self.right);
+            self.corners.find_tangents(n, &mut self.right);
+            self.corners.find_frames(n, &mut self.right, at);
+        }
+    }
+}
+
+impl<P: Float> Corners<P> {
+    #[inline(always)]
+    fn put(&mut self, i: usize, triangle: &Triangle, hit: &Hit) {
+        let vec = |x: [f32; 3]| Vec3::new(P::from_f32(x[0]), P::from_f32(x[1]), P::from_f32(x[2]));
+        let [e1, e2] = triangle.edges;
+        self.v0.put_vec(i, vec(triangle.v0));
+        self.e1.put_vec(i, vec(e1));
+        self.e2.put_vec(i, vec(e2));
+        self.smooth[i] = u32::from(triangle.normals.is_some());
+        if let Some([a, b, c]) = triangle.normals {
+            self.n0.put_vec(i, vec(a));
+            self.n1.put_vec(i, vec(b));
+            self.n2.put_vec(i, vec(c));
+        }
+        self.mapped[i] = u32::from(triangle.uvs.is_some());
+        if let Some([a, b, c]) = triangle.uvs {
+            (self.u0[i], self.u1[i], self.u2[i]) = (a[0], b[0], c[0]);
+            (self.v0_uv[i], self.v1_uv[i], self.v2_uv[i]) = (a[1], b[1], c[1]);
+        }
+        self.flip[i] = u32::from(triangle.flip);
+        (self.u[i], self.v[i]) = (P::from_f32(hit.u), P::from_f32(hit.v));
+    }
+
+    #[inline(always)]
+    fn edges(&self, i: usize) -> [Vec3<f64>; 2] {
+        [self.e1.vec(i).map(P::to_f64), self.e2.vec(i).map(P::to_f64)]
+    }
+
+    #[inline(always)]
+    fn uvs(&self, i: usize) -> [[f32; 2]; 3] {
+        [
+            [self.u0[i], self.v0_uv[i]],
+            [self.u1[i], self.v1_uv[i]],
+            [self.u2[i], self.v2_uv[i]],
+        ]
+    }
+
+    #[inline(never)]
+    fn find_normals(&mut self, n: usize, right: &mut Lane<u32>) {
+        for i in 0..whole(n) {
+            let [e1, e2] = self.edges(i);
+            let (flat, is_right) = SurfaceInLine::flat_normal(e1, e2);
+            self.flat.put_vec(i, flat.map(P::of));
+            right[i] &= u32::from(is_right);
+        }
+    }
+
+    #[inline(never)]
+    fn find_tangents(&mut self, n: usize, right: &mut Lane<u32>) {
+        for i in 0..whole(n) {
+            let mapped = self.mapped[i] != 0;
+            let (dp_du, is_right) = SurfaceInLine::dp_du(self.edges(i), self.uvs(i), mapped);
+            self.dp_du.put_vec(i, dp_du.map(P::of));
+            right[i] &= u32::from(is_right);
+        }
+    }
+
+    #[inline(never)]
+    fn find_frames(&self, n: usize, right: &mut Lane<u32>, at: &mut Vertices<P>) {
+        for i in 0..whole(n) {
+            let (u, v) = (self.u[i], self.v[i]);
+            let bary = [P::one() - u - v, u, v];
+            let normals = [self.n0.vec(i), self.n1.vec(i), self.n2.vec(i)];
+            let (smooth, flip) = (self.smooth[i] != 0, self.flip[i] != 0);
+            let ([n, n_geo], normal_is_right) =
+                SurfaceInLine::normals(bary, self.flat.vec(i), normals, (smooth, flip));
+            let (frame, frame_is_right) = SurfaceInLine::frame(n, self.dp_du.vec(i));
+            let [a, b, c] = [self.u0[i], self.u1[i], self.u2[i]];
+            let [a, b, c] = [P::from_f32(a), P::from_f32(b), P::from_f32(c)];
+            let x = a * bary[0] + b * u + c * v;
+            let [a, b, c] = [self.v0_uv[i], self.v1_uv[i], self.v2_uv[i]];
+            let [a, b, c] = [P::from_f32(a), P::from_f32(b), P::from_f32(c)];
+            let y = a * bary[0] + b * u + c * v;
+            let mapped = self.mapped[i] != 0;
+            let p = self.v0.vec(i) + self.e1.vec(i) * u + self.e2.vec(i) * v;
+            at.p.put_vec(i, p);
+            at.n_geo.put_vec(i, n_geo);
+            at.s.put_vec(i, frame.s);
+            at.t.put_vec(i, frame.t);
+            at.n.put_vec(i, frame.n);
+            at.u[i] = P::select(mapped, x, u);
+            at.v[i] = P::select(mapped, y, v);
+            right[i] &= u32::from(normal_is_right & frame_is_right);
+        }
+    }
+}
