@@ -291,7 +291,7 @@ impl Split {
     pub(super) fn goes_on(&self, events: ChainKind) -> [bool; 2] {
         let begins = |refracts: bool| {
             let further = |kinds: &ChainKinds| kinds.begins(events.then(refracts));
-            self.kinds.as_ref().is_none_or(further) && !(self.is_published() && !refracts)
+            (refracts || !self.is_published()) && self.kinds.as_ref().is_none_or(further)
         };
         [begins(false), begins(true)]
     }
