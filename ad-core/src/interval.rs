@@ -162,20 +162,14 @@ impl Interval {
         !beyond
     }
 
-    /// Of the products or quotients of bounds. Where the second or fourth is none, which is zero times infinity, the bound that it
-    /// stands for is among the others; where the first or third is, all is the whole line.
+    /// Of the products or quotients of bounds. Some may be none: zero times infinity, where zero is among the others, and infinity
+    /// over infinity, where both are.
     #[inline(always)]
     fn spanning([a, b, c, d]: [f64; 4], upper: bool) -> Self {
-        let lo = lesser(lesser(a, b), lesser(c, d));
-        let hi = -lesser(lesser(-a, -b), lesser(-c, -d));
+        let lo = f64::min(f64::min(a, b), f64::min(c, d));
+        let hi = f64::max(f64::max(a, b), f64::max(c, d));
         Self::outwards(lo, hi, upper)
     }
-}
-
-/// The lesser of two numbers; the first if the second is none, and none if the first is: one instruction.
-#[inline(always)]
-fn lesser(a: f64, b: f64) -> f64 {
-    if b < a { b } else { a }
 }
 
 /// A number below another, by more than a rounding.

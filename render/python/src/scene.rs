@@ -318,7 +318,7 @@ impl Drop for Alone<'_> {
 /// A scene as one of its sensors sees it: others may look as well where that is its own.
 pub enum Seen<'a> {
     Shared(RwLockReadGuard<'a, render::Scene>),
-    Alone(Alone<'a>),
+    Alone(Box<Alone<'a>>),
 }
 
 impl Deref for Seen<'_> {
@@ -341,7 +341,7 @@ impl Scene {
         match number_of(&scene, sensor)? {
             Some(number) if number != scene.sensor_number() => {
                 drop(scene);
-                Ok(Seen::Alone(self.alone(sensor)?))
+                Ok(Seen::Alone(Box::new(self.alone(sensor)?)))
             }
             _ => Ok(Seen::Shared(scene)),
         }
