@@ -85,7 +85,7 @@ impl Solution {
 impl Space<'_> {
     /// Whether two solutions between the same start and target are one.
     ///
-    /// They are if a box around both has one root and no other, which [`ad_core::krawczyk`] proves over intervals. The
+    /// They are if a box around both has one root and no other, which [`ad_core::krawczyk()`] proves over intervals. The
     /// constraint is that of the triangles and texels that are met at the first of them; a box that is met by others has no
     /// proof.
     pub fn sameness(&self, start: &Start, target: &Target, a: &Solution, b: &Solution) -> Sameness {
