@@ -33,7 +33,7 @@ pub fn box_around<const N: usize>(x: [f64; N], radius: f64) -> [[Dual<Interval, 
 }
 
 /// The bounds of a function that was evaluated both ways ([`box_around`]); `None` where some decision is not the same in the
-/// whole box.
+/// whole box, unless it moves all bounds by less than a millionth, as roundings do.
 pub fn decided<const N: usize>([a, b]: [Bounded<N>; 2]) -> Option<Bounded<N>> {
     let agree = |a: Interval, b: Interval| {
         let off = f64::max((a.lo() - b.lo()).abs(), (a.hi() - b.hi()).abs());

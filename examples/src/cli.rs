@@ -560,7 +560,7 @@ pub struct ManifoldArgs {
     #[serde(with = "optim::exact::optional")]
     pub uniqueness_threshold: Option<f64>,
     /// Prove of one in so many walks that it ended in the solution that it was taken for; 1 of all, 0 of none. Changes no image
-    /// [default: 64]
+    /// [default: 256]
     #[arg(
         long,
         value_name = "N",

@@ -4,7 +4,7 @@ use ad_core::krawczyk::{Bounded, box_around, decided, isolated, newton_step, tig
 use ad_core::{Dual, Interval, Vec2, Vec3};
 use smallvec::SmallVec;
 
-use super::chain::{Event, Events, Surface, Vertex};
+use super::chain::{Events, Surface, Vertex};
 use super::space::{Space, Start, Target};
 use super::walk::{End, Hits, Solution, Way};
 use crate::accel::Hit;
@@ -73,13 +73,6 @@ impl Solution {
             hits,
         }
     }
-
-    /// Whether it has the same shapes and events as another.
-    fn is_alike(&self, other: &Self) -> bool {
-        let same = |a: &Vertex, b: &Vertex| a.shape == b.shape && a.kind == b.kind;
-        self.chain.len() == other.chain.len()
-            && self.chain.iter().zip(&other.chain).all(|(a, b)| same(a, b))
-    }
 }
 
 impl Space<'_> {
@@ -89,7 +82,7 @@ impl Space<'_> {
     /// constraint is that of the triangles and texels that are met at the first of them; a box that is met by others has no
     /// proof.
     pub fn sameness(&self, start: &Start, target: &Target, a: &Solution, b: &Solution) -> Sameness {
-        if !a.is_alike(b) {
+        if !a.has(b.chain.iter().map(Vertex::event)) {
             return Sameness::Apart;
         }
         let like: Events = a.chain.iter().map(Vertex::event).collect();
@@ -97,7 +90,7 @@ impl Space<'_> {
         way.sameness(&a.ended(&a.hits()), &b.ended(&b.hits()))
     }
 
-    /// The same of a walk that ended near a root: there, or where it goes on to.
+    /// The same of a walk with the same events that ended near a root: there, or where it goes on to.
     pub(super) fn sameness_of_end(
         &self,
         start: &Start,
@@ -105,27 +98,6 @@ impl Space<'_> {
         known: &Solution,
         end: &End,
     ) -> Sameness {
-        let near = self.sameness_near(start, target, known, end);
-        if near == Sameness::Proved {
-            return near;
-        }
-        let ended = self.polish(start, end, target, &mut 0);
-        ended.map_or(near, |ended| self.sameness(start, target, known, &ended))
-    }
-
-    fn sameness_near(
-        &self,
-        start: &Start,
-        target: &Target,
-        known: &Solution,
-        end: &End,
-    ) -> Sameness {
-        let same = |a: &Event, b: &Vertex| a.shape == b.shape && a.kind == b.kind;
-        let alike = end.like.len() == known.chain.len()
-            && end.like.iter().zip(&known.chain).all(|(a, b)| same(a, b));
-        if !alike {
-            return Sameness::Apart;
-        }
         let way = Way::new(self, start, target, &end.like);
         let ended = Ended {
             d: end.direction(),
@@ -133,26 +105,31 @@ impl Space<'_> {
             error: end.error(start.si.p),
             hits: &end.at.hits,
         };
-        way.sameness(&known.ended(&known.hits()), &ended)
-    }
-
-    /// How many texels of the map of normals an interval of surface coordinates spans. Infinite of what is no image.
-    fn texels(&self, material: &Material, uv: Vec2<Interval>) -> f64 {
-        match material {
-            Material::NormalMap(m) => match m.map() {
-                Texture::Constant(_) => 0.0,
-                Texture::Bitmap(image) => {
-                    let at = image.to_uv.apply(uv);
-                    let [w, h] = [image.width, image.height].map(f64::from);
-                    f64::max(at.x.width() * w, at.y.width() * h)
-                }
-                _ => f64::INFINITY,
-            },
-            Material::TwoSided(m) => (m.sides().iter())
-                .map(|side| self.texels(side, uv))
-                .fold(0.0, f64::max),
-            _ => 0.0,
+        let near = way.sameness(&known.ended(&known.hits()), &ended);
+        if near == Sameness::Proved {
+            return near;
         }
+        let ended = self.polish(start, end, target, &mut 0);
+        ended.map_or(near, |ended| self.sameness(start, target, known, &ended))
+    }
+}
+
+/// How many texels of the map of normals an interval of surface coordinates spans. Infinite of what is no image.
+fn texels(material: &Material, uv: Vec2<Interval>) -> f64 {
+    match material {
+        Material::NormalMap(m) => match m.map() {
+            Texture::Constant(_) => 0.0,
+            Texture::Bitmap(image) => {
+                let at = image.to_uv.apply(uv);
+                let [w, h] = [image.width, image.height].map(f64::from);
+                f64::max(at.x.width() * w, at.y.width() * h)
+            }
+            _ => f64::INFINITY,
+        },
+        Material::TwoSided(m) => (m.sides().iter())
+            .map(|side| texels(side, uv))
+            .fold(0.0, f64::max),
+        _ => 0.0,
     }
 }
 
@@ -163,11 +140,8 @@ impl Way<'_> {
         let angle = f64::max(b.d.dot(s).abs(), b.d.dot(t).abs()) / along;
         let same = |(a, b): (&Hit, &Hit)| a.prim == b.prim;
         let met = a.hits.len() == b.hits.len() && a.hits.iter().zip(b.hits).all(same);
-        if along > 0.0 && angle <= REACH && met {
-            // The box holds both.
-            if self.is_alone(a, angle) {
-                return Sameness::Proved;
-            }
+        if along > 0.0 && angle <= REACH && met && self.is_alone(a, angle) {
+            return Sameness::Proved;
         }
         if (a.p - b.p).length() <= a.error + b.error {
             Sameness::Unproved
@@ -213,7 +187,7 @@ impl Way<'_> {
         let (mut within, mut i) = (true, 0);
         let seen = |here: &mut Surface<Bound>| {
             let material = self.space.scene.material(here.shape);
-            within &= self.space.texels(material, here.si.uv.map(|x| x.re)) < 1.0;
+            within &= texels(material, here.si.uv.map(|x| x.re)) < 1.0;
             let (p, n) = (&mut here.si.p, &mut here.facet.n);
             let numbers = [&mut p.x, &mut p.y, &mut p.z, &mut n.x, &mut n.y, &mut n.z];
             match middles.get(i) {

@@ -94,6 +94,7 @@ pub struct Split {
     /// Whether any caster is rough.
     pub(super) rough: bool,
     bounces: u32,
+    fewest: u32,
 }
 
 /// Those of `able` that are flagged, or all if none is.
@@ -170,6 +171,7 @@ impl Split {
             emitter_list,
             rough,
             bounces: connections.longest(),
+            fewest: connections.shortest(),
         })
     }
 
@@ -203,6 +205,7 @@ impl Split {
             emitter_list: Vec::new(),
             rough: false,
             bounces: 1,
+            fewest: 1,
         };
         let split = split.unwrap_or_else(none);
         Some(Self { glinty, ..split })
@@ -332,12 +335,7 @@ impl Split {
 
     /// Fewest vertices of a chain.
     pub fn fewest(&self) -> u32 {
-        let shortest = self.kinds.map_or(1, |kinds| kinds.shortest());
-        if self.is_published() {
-            self.bounces
-        } else {
-            shortest
-        }
+        self.fewest
     }
 
     /// Whether connections look for chains of these vertices, shapes and materials with what happens there, from the receiver on.
@@ -345,10 +343,12 @@ impl Split {
         &self,
         like: impl ExactSizeIterator<Item = (u32, u32, DeltaKind)> + Clone,
     ) -> bool {
-        let refracts = |kind: DeltaKind| kind == DeltaKind::Transmission;
-        let events = (like.clone()).fold(ChainKind::NONE, |e, (_, _, kind)| e.then(refracts(kind)));
-        if !self.asks_for(events) {
-            return false;
+        if let Some(kinds) = &self.kinds {
+            let refracts = |kind: DeltaKind| kind == DeltaKind::Transmission;
+            let then = |e: ChainKind, (_, _, kind)| e.then(refracts(kind));
+            if !kinds.contains(like.clone().fold(ChainKind::NONE, then)) {
+                return false;
+            }
         }
         if !self.is_published() {
             return true;

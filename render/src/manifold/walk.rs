@@ -57,6 +57,12 @@ impl Solution {
         -self.chain[0].wo
     }
 
+    /// Whether it has the same events on the same shapes.
+    pub(super) fn has(&self, like: impl ExactSizeIterator<Item = Event>) -> bool {
+        let same = |(v, e): (&Vertex, Event)| v.shape == e.shape && v.kind == e.kind;
+        self.chain.len() == like.len() && self.chain.iter().zip(like).all(same)
+    }
+
     /// Whether another solution, of the same start and target, is this one.
     pub fn is(&self, other: &Self, uniqueness: Uniqueness) -> bool {
         let same = |a: &super::Vertex, b: &super::Vertex| a.kind == b.kind;
@@ -403,14 +409,8 @@ impl Space<'_> {
             let ended = self.polish(start, end, target, steps);
             return ended.is_some_and(|ended| ended.is(solution, uniqueness));
         }
-        let same = |a: &Event, b: &Vertex| a.shape == b.shape && a.kind == b.kind;
-        let alike = end.like.len() == solution.chain.len()
-            && end
-                .like
-                .iter()
-                .zip(&solution.chain)
-                .all(|(a, b)| same(a, b));
         let apart = (end.at.p - solution.chain[0].si.p).length();
+        let alike = solution.has(end.like.iter().copied());
         alike && apart <= end.error(start.si.p) + solution.error
     }
 }

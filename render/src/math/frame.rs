@@ -2,6 +2,9 @@
 
 use ad_core::{Real, Vec3};
 
+/// A tangent is parallel to a normal if this part of its squared length, or less, lies across it.
+pub(crate) const PARALLEL: f64 = 1e-12;
+
 /// An orthonormal frame; `n` is the local z axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Frame<R> {
@@ -34,7 +37,7 @@ impl<R: Real> Frame<R> {
     #[inline]
     pub fn from_normal_and_tangent(n: Vec3<R>, dp_du: Vec3<R>) -> Self {
         let s = dp_du - n * n.dot(dp_du);
-        let limit = R::Primal::of(1e-12) * dp_du.primal().length_squared();
+        let limit = R::Primal::of(PARALLEL) * dp_du.primal().length_squared();
         if s.primal().length_squared() > limit {
             let s = s.normalize();
             Self {

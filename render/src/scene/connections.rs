@@ -305,6 +305,15 @@ impl Connections {
         longest.clamp(1, Self::MOST_BOUNCES)
     }
 
+    /// Fewest specular vertices of a chain: one, or those of the shortest kind that is named; where other light is left out, as many as
+    /// there may be.
+    pub(crate) fn shortest(&self) -> u32 {
+        match self.light {
+            CasterLight::All => self.kinds.map_or(1, |kinds| kinds.shortest()),
+            CasterLight::Published(_) => self.longest(),
+        }
+    }
+
     /// Whether a proof is made for a walk that ended in this direction: a function of its last digits.
     pub(crate) fn proves(&self, d: Vec3<f64>) -> bool {
         let digits = d.x.to_bits() ^ d.y.to_bits().rotate_left(21) ^ d.z.to_bits().rotate_left(42);
