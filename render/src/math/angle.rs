@@ -49,6 +49,20 @@ pub fn atan2<R: Real>(y: R, x: R) -> R {
     revalued(y.atan2(x), value)
 }
 
+/// The angle between the unit vector `(x, y, z)` and the third axis in radians, to a few roundings.
+///
+/// # Derivatives
+/// Those of [`Real::atan2`] and [`Real::hypot`].
+#[inline(always)]
+pub fn polar<R: Real>(x: R, y: R, z: R) -> R {
+    let sine = (x.primal().square() + y.primal().square()).sqrt();
+    let value = primal_atan2(sine, z.primal());
+    if R::IS_PRIMAL {
+        return R::lift(value);
+    }
+    revalued(x.hypot(y).atan2(z), value)
+}
+
 /// Sine and cosine of `u` turns, `u` in [0, 1]: [`sin_cos_of_turns`].
 ///
 /// # Derivatives

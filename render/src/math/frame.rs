@@ -3,7 +3,7 @@
 use ad_core::{Real, Vec3};
 
 /// A tangent is parallel to a normal if this part of its squared length, or less, lies across it.
-pub(crate) const PARALLEL: f64 = 1e-12;
+const PARALLEL: f64 = 1e-12;
 
 /// An orthonormal frame; `n` is the local z axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -48,6 +48,23 @@ impl<R: Real> Frame<R> {
         } else {
             Self::from_normal(n)
         }
+    }
+
+    /// [`Frame::from_normal_and_tangent`] in loops over many, without a branch. Whether it is right: not where the
+    /// projection of `dp_du` is too short or too long for [`Vec3::unit`].
+    #[inline(always)]
+    pub(crate) fn in_line(n: Vec3<R>, dp_du: Vec3<R>) -> (Self, bool) {
+        let some = Self::from_normal(n);
+        let across = dp_du - n * n.dot(dp_du);
+        let limit = R::Primal::of(PARALLEL) * dp_du.primal().length_squared();
+        let there = across.primal().length_squared() > limit;
+        let (s, right) = across.unit();
+        let frame = Self {
+            s: Vec3::select(there, s, some.s),
+            t: Vec3::select(there, n.cross(s), some.t),
+            n,
+        };
+        (frame, right | !there)
     }
 
     /// World to local coordinates.

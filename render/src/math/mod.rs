@@ -35,7 +35,6 @@ pub(crate) fn both<T, U>([a, b]: [T; 2], f: impl Fn(T) -> U) -> [U; 2] {
 
 pub use ad_core::{Vec2, Vec3};
 pub use frame::Frame;
-pub(crate) use frame::PARALLEL;
 pub use ray::{NOWHERE, Ray, RayAdjoint, Segment};
 pub use rgb::{LUMINANCE, Rgb, rgb_of_xyz};
 pub use transform::Transform;

@@ -56,8 +56,8 @@ use crate::params::{GradSink, ParamRef, Params, Theta};
 use crate::prefetch::prefetch;
 use crate::sampler::Points;
 use crate::shape::{
-    AnyShape, Exit, Partials, Patch, Prim, Shape, SurfaceAdjoint, SurfaceCoordinates,
-    SurfaceInteraction, Triangle,
+    AnyShape, Exit, Mesh, Partials, Patch, Prim, Shape, Sphere, SurfaceAdjoint, SurfaceCoordinates,
+    SurfaceInteraction,
 };
 
 pub(crate) use pixels::PixelShares;
@@ -319,6 +319,14 @@ pub struct Intersection<R> {
     pub prim: u32,
     /// Where on it.
     pub si: SurfaceInteraction<R>,
+}
+
+/// What a surface that was hit is made of: the kinds that waves have loops for.
+pub(crate) enum HitSurface<'a> {
+    /// And the index of the triangle.
+    Mesh(&'a Mesh, u32),
+    Sphere(&'a Sphere),
+    Other,
 }
 
 impl Scene {
@@ -737,13 +745,22 @@ impl Scene {
         (shape, exit, self.geometry.patches.get(patch as usize))
     }
 
-    /// The triangle that was hit, if it is one of a mesh.
+    /// Whether there are parallelograms and instances alone.
+    #[inline]
+    pub(crate) fn has_patches_only(&self) -> bool {
+        self.geometry.prims.len() == self.geometry.patches.len()
+    }
+
+    /// What was hit.
     #[inline(always)]
-    pub(crate) fn triangle(&self, hit: &Hit) -> Option<Triangle> {
-        let Prim { shape, local, .. } = self.geometry.prim(hit.prim);
+    pub(crate) fn surface(&self, hit: &Hit) -> HitSurface<'_> {
+        let Some(&Prim { shape, local, .. }) = self.geometry.prims.get(hit.prim as usize) else {
+            return HitSurface::Other;
+        };
         match &self.geometry.shapes[shape as usize] {
-            AnyShape::Mesh(mesh) => Some(mesh.triangle(local)),
-            _ => None,
+            AnyShape::Mesh(mesh) => HitSurface::Mesh(mesh, local),
+            AnyShape::Sphere(sphere) => HitSurface::Sphere(sphere),
+            _ => HitSurface::Other,
         }
     }
 

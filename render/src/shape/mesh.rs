@@ -20,7 +20,7 @@ use super::{
 use crate::accel::{Hit, MAX_COORDINATE, Primitive};
 use crate::error::{SceneError, quoted};
 use crate::files;
-use crate::math::{Frame, PARALLEL, Ray, Transform, each, warp};
+use crate::math::{Frame, Ray, Transform, each, warp};
 use crate::params::{GradSink, ParamRef, Params, Theta};
 use crate::prefetch::prefetch;
 
@@ -430,22 +430,6 @@ impl SurfaceInLine {
         let n_geo = Vec3::select(behind, -flat, flat);
         let turned = |x: Vec3<P>| Vec3::select(flip, -x, x);
         ([turned(n), turned(n_geo)], right | !smooth)
-    }
-
-    /// [`Frame::from_normal_and_tangent`].
-    #[inline(always)]
-    pub fn frame<P: Float>(n: Vec3<P>, dp_du: Vec3<P>) -> (Frame<P>, bool) {
-        let some = Frame::from_normal(n);
-        let across = dp_du - n * n.dot(dp_du);
-        let limit = P::of(PARALLEL) * dp_du.length_squared();
-        let there = across.length_squared() > limit;
-        let (s, right) = across.unit();
-        let frame = Frame {
-            s: Vec3::select(there, s, some.s),
-            t: Vec3::select(there, n.cross(s), some.t),
-            n,
-        };
-        (frame, right | !there)
     }
 }
 

@@ -67,7 +67,7 @@ pub use mesh_data::{MeshData, smooth_normals};
 pub use partials::Partials;
 pub use patch::{Patch, Rectangle};
 pub use sphere::Sphere;
-pub(crate) use sphere::{sample_cone, turn};
+pub(crate) use sphere::{SphereNumbers, sample_cone, turn};
 pub use welding::Welding;
 
 use ad_core::{Const, Dual, Float, Real, Vec2, Vec3};

@@ -11,7 +11,7 @@ use super::{
 };
 use crate::accel::{Hit, MAX_COORDINATE, MIN_THICKNESS, Primitive};
 use crate::error::SceneError;
-use crate::math::{Frame, Ray, Transform, each, warp};
+use crate::math::{Frame, Ray, Transform, angle, each, warp};
 use crate::params::Theta;
 use crate::plugin::{FromNode, Node, Registry};
 
@@ -93,36 +93,48 @@ impl Sphere {
         self.radius
     }
 
-    #[inline]
-    fn side<R: Real>(&self, outward: Vec3<R>) -> Vec3<R> {
-        if self.flip { -outward } else { outward }
+    /// Its numbers, in those of a scalar.
+    #[inline(always)]
+    pub(crate) fn ball<R: Real>(&self) -> SphereNumbers<R> {
+        SphereNumbers {
+            center: lift3(self.center),
+            radius: R::Primal::from_f32(self.radius),
+            axes: each(self.axes, lift3),
+            flip: self.flip,
+        }
     }
 
-    /// Texture coordinates of the point with outward unit normal `n`, and the direction of
-    /// increasing u there (zero at the poles).
-    #[inline]
-    fn uv<R: Real>(&self, n: Vec3<R>) -> (Vec2<R>, Vec3<R>) {
-        let axes = each(self.axes, lift3::<R>);
-        let [x, y, z] = each(axes, |a| a.dot(n));
-        let uv = if self.skips_uv {
+    /// Whether texture coordinates are asked for.
+    pub(crate) fn is_mapped(&self) -> bool {
+        !self.skips_uv
+    }
+
+    #[inline(always)]
+    fn side<R: Real>(&self, outward: Vec3<R>) -> Vec3<R> {
+        self.ball().side(outward)
+    }
+
+    /// [`SphereNumbers::uv`], zero where nothing looks it up.
+    #[inline(always)]
+    fn uv<R: Real>(&self, outward: Vec3<R>) -> Vec2<R> {
+        if self.skips_uv {
             Vec2::new(R::zero(), R::zero())
         } else {
-            angles(x, y, z)
-        };
-        (uv, axes[1] * x - axes[0] * y)
+            self.ball().uv(outward)
+        }
     }
 
     /// The point with this outward unit normal, at the distance `t` of a ray.
     #[inline(always)]
     fn surface<R: Real>(&self, outward: Vec3<R>, t: R) -> SurfaceInteraction<R> {
-        let (uv, dp_du) = self.uv(outward);
-        let n = self.side(outward);
+        let ball = self.ball();
+        let n = ball.side(outward);
         SurfaceInteraction {
-            p: lift3::<R>(self.center) + outward * Const(R::Primal::from_f32(self.radius)),
+            p: ball.point(outward),
             t,
             n_geo: n,
-            frame: Frame::from_normal_and_tangent(n, dp_du),
-            uv,
+            frame: Frame::from_normal_and_tangent(n, ball.dp_du(outward)),
+            uv: self.uv(outward),
         }
     }
 
@@ -154,6 +166,64 @@ impl Sphere {
     fn contains<P: Float>(&self, from: Vec3<P>) -> bool {
         (lift3::<P>(self.center) - from).length()
             <= P::from_f32(self.radius) * P::of(1.0 + ON_SURFACE)
+    }
+}
+
+/// What the surface of a sphere follows from, number by number.
+pub(crate) struct SphereNumbers<R: Real> {
+    pub center: Vec3<R>,
+    pub radius: R::Primal,
+    /// Local x, y and z axis, world space.
+    pub axes: [Vec3<R>; 3],
+    /// Whether normals point inward.
+    pub flip: bool,
+}
+
+impl<R: Real> SphereNumbers<R> {
+    /// The normal where this is the outward one, or the other way around.
+    #[inline(always)]
+    pub fn side(&self, n: Vec3<R>) -> Vec3<R> {
+        Vec3::select(self.flip, -n, n)
+    }
+
+    /// The point with this outward unit normal.
+    #[inline(always)]
+    fn point(&self, outward: Vec3<R>) -> Vec3<R> {
+        self.center + outward * Const(self.radius)
+    }
+
+    /// The direction of increasing u there; zero at the poles.
+    #[inline(always)]
+    fn dp_du(&self, outward: Vec3<R>) -> Vec3<R> {
+        let [x, y, _] = self.axes;
+        y * x.dot(outward) - x * y.dot(outward)
+    }
+
+    /// Texture coordinates there.
+    #[inline(always)]
+    pub fn uv(&self, outward: Vec3<R>) -> Vec2<R> {
+        let [x, y, z] = each(self.axes, |a| a.dot(outward));
+        Vec2::new(turn(y, x), angle::polar(x, y, z) * R::c(FRAC_1_PI))
+    }
+}
+
+impl<P: Float> SphereNumbers<P> {
+    /// What lies at the distance `t` of a ray that meets it there: [`Shape::interaction`] of hits that are exact, but for
+    /// texture coordinates, which are zero. In loops over many, without a branch. Whether it is right; otherwise
+    /// [`Shape::interaction`] has to be asked.
+    #[inline(always)]
+    pub fn interaction_in_line(&self, ray: &Ray<P>, t: P) -> (SurfaceInteraction<P>, bool) {
+        let (outward, normal_is_right) = (ray.at(t) - self.center).unit();
+        let n = self.side(outward);
+        let (frame, frame_is_right) = Frame::in_line(n, self.dp_du(outward));
+        let si = SurfaceInteraction {
+            p: self.point(outward),
+            t,
+            n_geo: n,
+            frame,
+            uv: Vec2::zero(),
+        };
+        (si, normal_is_right & frame_is_right)
     }
 }
 
@@ -211,13 +281,6 @@ pub(crate) fn sample_cone<P: Float>(
     })
 }
 
-/// Texture coordinates of a unit vector.
-#[inline]
-fn angles<R: Real>(x: R, y: R, z: R) -> Vec2<R> {
-    let v = x.hypot(y).atan2(z) * R::c(FRAC_1_PI);
-    Vec2::new(turn(y, x), v)
-}
-
 /// The octahedral map of a unit vector [Cigolle et al. 2014].
 fn to_octahedron<P: Float>(n: Vec3<P>) -> Vec2<P> {
     let scale = (n.x.abs() + n.y.abs() + n.z.abs()).recip();
@@ -249,14 +312,10 @@ fn from_octahedron<R: Real>(at: Vec2<R>) -> Vec3<R> {
 pub(super) const ON_SURFACE: f64 = 1e-4;
 
 /// The angle of (x, y) in turns, in [0, 1].
-#[inline]
+#[inline(always)]
 pub(crate) fn turn<R: Real>(y: R, x: R) -> R {
-    let u = y.atan2(x) * R::c(0.5 * FRAC_1_PI);
-    if u.primal() < R::Primal::zero() {
-        u + R::c(1.0)
-    } else {
-        u
-    }
+    let u = angle::atan2(y, x) * R::c(0.5 * FRAC_1_PI);
+    R::select(u.primal() < R::Primal::zero(), u + R::c(1.0), u)
 }
 
 /// The `t` nearest to `near` with `|t d - to| = r`. On rays that miss by rounding, the closest
@@ -332,8 +391,7 @@ impl Shape for Sphere {
     ) -> Option<Partials<R>> {
         let axes = each(self.axes, lift3::<R>);
         let outward = self.outward(at);
-        let [x, y, z] = each(axes, |a| a.dot(outward));
-        let uv = angles(x, y, z);
+        let uv = self.ball().uv(outward);
         let [turns, halves] = variables(uv.x, uv.y);
         let (sin_phi, cos_phi) = (turns * Dual::<R, 2>::c(2.0 * PI)).sin_cos();
         let (sin_theta, cos_theta) = (halves * Dual::<R, 2>::c(PI)).sin_cos();
@@ -405,7 +463,7 @@ impl Shape for Sphere {
         Some(DirectionSample {
             n,
             n_geo: n,
-            uv: self.uv(s.n).0,
+            uv: self.uv(s.n),
             ..s
         })
     }

@@ -1,12 +1,12 @@
 //! Where paths meet triangles of meshes, at once.
 
-use ad_core::{Float, Vec3};
+use ad_core::{Float, Vec2, Vec3};
 
-use super::lanes::{Field, Lane, Lanes, WAVE_SIZE, lanes, whole};
+use super::lanes::{Field, Lane, Lanes, lanes, whole};
 use super::state::Vertices;
 use crate::accel::Hit;
-use crate::scene::Scene;
-use crate::shape::{SurfaceInLine, Triangle, hit_is_exact};
+use crate::math::Frame;
+use crate::shape::{SurfaceInLine, SurfaceInteraction, Triangle};
 
 lanes! {
     /// What the triangles are made of, and where they are hit.
@@ -31,6 +31,8 @@ lanes! {
         mapped: Lane<u32>,
         /// Whether the surface is turned around.
         flip: Lane<u32>,
+        /// Whether the path has met one.
+        met: Lane<u32>,
         /// Barycentric coordinates.
         u: Lane<P>,
         v: Lane<P>,
@@ -44,8 +46,7 @@ lanes! {
 /// Triangles that paths have met, path by path.
 pub struct Faces<P> {
     corners: Box<Corners<P>>,
-    /// Whether the path has met one, and what was found there is right.
-    right: Lane<u32>,
+    any: bool,
 }
 
 impl<P: Float> Faces<P> {
@@ -53,44 +54,24 @@ impl<P: Float> Faces<P> {
     pub fn new() -> Self {
         Self {
             corners: Box::new(Corners::zero()),
-            right: Lane::zero(),
+            any: false,
         }
     }
 
-    /// Whether the place of path `i` has been found.
+    /// Path `i` has met a triangle.
     #[inline(always)]
-    pub fn have(&self, i: usize) -> bool {
-        self.right[i] != 0
+    pub fn put(&mut self, i: usize, triangle: &Triangle, hit: &Hit) {
+        self.corners.put(i, triangle, hit);
+        self.any = true;
     }
 
-    /// Finds the places of all paths that have hit a triangle. Of others, nothing is right; nor is anything in scenes
-    /// without a hierarchy, where few hits are worth a look at each.
-    #[inline(always)]
-    pub fn find(&mut self, scene: &Scene, hits: &[Option<Hit>], at: &mut Vertices<P>) {
-        self.right = Lane::zero();
-        // Where hits are not exact, the point is found anew, from the ray.
-        if hit_is_exact::<P>() && scene.has_hierarchy() {
-            self.look(scene, hits, at);
-        }
-    }
-
-    #[inline(never)]
-    fn look(&mut self, scene: &Scene, hits: &[Option<Hit>], at: &mut Vertices<P>) {
-        let mut any = false;
-        for (i, hit) in hits.iter().enumerate().take(WAVE_SIZE) {
-            if let Some(hit) = hit
-                && let Some(triangle) = scene.triangle(hit)
-            {
-                self.corners.put(i, &triangle, hit);
-                self.right[i] = 1;
-                any = true;
-            }
-        }
-        if any {
-            let n = hits.len();
-            self.corners.find_normals(n, &mut self.right);
-            self.corners.find_tangents(n, &mut self.right);
-            self.corners.find_frames(n, &mut self.right, at);
+    /// Finds the places of those of the first `n` paths that have met triangles. `right` stays where they are right.
+    pub fn find(&mut self, n: usize, right: &mut Lane<u32>, at: &mut Vertices<P>) {
+        if std::mem::take(&mut self.any) {
+            self.corners.find_normals(n, right);
+            self.corners.find_tangents(n, right);
+            self.corners.find_frames(n, right, at);
+            self.corners.met = Lane::zero();
         }
     }
 }
@@ -115,6 +96,7 @@ impl<P: Float> Corners<P> {
             (self.v0_uv[i], self.v1_uv[i], self.v2_uv[i]) = (a[1], b[1], c[1]);
         }
         self.flip[i] = u32::from(triangle.flip);
+        self.met[i] = 1;
         (self.u[i], self.v[i]) = (P::from_f32(hit.u), P::from_f32(hit.v));
     }
 
@@ -138,7 +120,7 @@ impl<P: Float> Corners<P> {
             let [e1, e2] = self.edges(i);
             let (flat, is_right) = SurfaceInLine::flat_normal(e1, e2);
             self.flat.put_vec(i, flat.map(P::of));
-            right[i] &= u32::from(is_right);
+            right[i] &= u32::from(is_right | (self.met[i] == 0));
         }
     }
 
@@ -148,7 +130,7 @@ impl<P: Float> Corners<P> {
             let mapped = self.mapped[i] != 0;
             let (dp_du, is_right) = SurfaceInLine::dp_du(self.edges(i), self.uvs(i), mapped);
             self.dp_du.put_vec(i, dp_du.map(P::of));
-            right[i] &= u32::from(is_right);
+            right[i] &= u32::from(is_right | (self.met[i] == 0));
         }
     }
 
@@ -161,7 +143,7 @@ impl<P: Float> Corners<P> {
             let (smooth, flip) = (self.smooth[i] != 0, self.flip[i] != 0);
             let ([n, n_geo], normal_is_right) =
                 SurfaceInLine::normals(bary, self.flat.vec(i), normals, (smooth, flip));
-            let (frame, frame_is_right) = SurfaceInLine::frame(n, self.dp_du.vec(i));
+            let (frame, frame_is_right) = Frame::in_line(n, self.dp_du.vec(i));
             let [a, b, c] = [self.u0[i], self.u1[i], self.u2[i]];
             let [a, b, c] = [P::from_f32(a), P::from_f32(b), P::from_f32(c)];
             let x = a * bary[0] + b * u + c * v;
@@ -170,14 +152,16 @@ impl<P: Float> Corners<P> {
             let y = a * bary[0] + b * u + c * v;
             let mapped = self.mapped[i] != 0;
             let p = self.v0.vec(i) + self.e1.vec(i) * u + self.e2.vec(i) * v;
-            at.p.put_vec(i, p);
-            at.n_geo.put_vec(i, n_geo);
-            at.s.put_vec(i, frame.s);
-            at.t.put_vec(i, frame.t);
-            at.n.put_vec(i, frame.n);
-            at.u[i] = P::select(mapped, x, u);
-            at.v[i] = P::select(mapped, y, v);
-            right[i] &= u32::from(normal_is_right & frame_is_right);
+            let si = SurfaceInteraction {
+                p,
+                t: P::zero(),
+                n_geo,
+                frame,
+                uv: Vec2::new(P::select(mapped, x, u), P::select(mapped, y, v)),
+            };
+            let met = self.met[i] != 0;
+            at.put_if(met, i, &si);
+            right[i] &= u32::from((normal_is_right & frame_is_right) | !met);
         }
     }
 }

@@ -11,6 +11,7 @@
 // Each loop is over many arrays at a time.
 #![allow(clippy::needless_range_loop)]
 
+mod balls;
 mod derivatives;
 mod faces;
 mod kinds;
@@ -21,12 +22,12 @@ mod numbers;
 mod record;
 mod start;
 mod state;
+mod surfaces;
 mod waiting;
 
 use ad_core::{Float, Vec2, Vec3};
 pub(super) use derivatives::LayerAdjoints;
 use derivatives::albedo;
-use faces::Faces;
 use kinds::{Kinds, has_two_sides, seen_from, side};
 pub(super) use lanes::WAVE_SIZE;
 use lanes::{Field, Lane, Lanes, whole};
@@ -36,6 +37,7 @@ use numbers::{bits, draw_units, sobol};
 pub(super) use record::Record;
 use smallvec::SmallVec;
 use state::{Bounces, Lights, Paths, Vertices};
+use surfaces::Surfaces;
 use waiting::Waiting;
 
 use super::direct::{Departure, FoundEdge};
@@ -130,8 +132,8 @@ pub(super) struct Wave<P, X> {
     waiting: Waiting<P>,
     hits: [Option<Hit>; WAVE_SIZE],
     at: Vertices<P>,
-    /// Triangles that the paths have met.
-    faces: Faces<P>,
+    /// Surfaces that the paths have met.
+    surfaces: Surfaces<P>,
     /// Plain vertices whose albedo has to be looked up.
     textured: Vec<usize>,
     /// Vertices that are not, by kinds.
@@ -177,7 +179,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             waiting: Waiting::new(),
             hits: [None; WAVE_SIZE],
             at: Vertices::zero(),
-            faces: Faces::new(),
+            surfaces: Surfaces::new(),
             textured: Vec::with_capacity(WAVE_SIZE),
             kinds: Kinds::new(),
             leaving: Leaving::new(),
@@ -292,7 +294,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             self.look_through_lamps(scene);
         }
         let guide = guide_of::<Of>(scene);
-        self.faces.find(scene, &self.hits[..self.n], &mut self.at);
+        (self.surfaces).find(scene, &self.paths, &self.hits[..self.n], &mut self.at);
         if !self.arrive::<Of, S, L>(context, guide, depth, log) {
             self.bounces.continues = Lane::zero();
             self.leave();
@@ -489,7 +491,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             let (shape, exit, patch) = scene.patch(hit);
             match patch {
                 Some(patch) => self.at.put(i, &patch.interaction(&ray, hit)),
-                None if self.faces.have(i) => {}
+                None if self.surfaces.have(i) => {}
                 None => self.at.put(i, &scene.interaction(theta, &ray, hit).si),
             }
             let info = scene.shape_info(shape);

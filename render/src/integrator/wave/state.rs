@@ -166,6 +166,23 @@ impl<P: Float> Vertices<P> {
     }
 }
 
+impl<P: Float> Vertices<P> {
+    /// [`Vertices::put`] if `there`, without a branch.
+    #[inline(always)]
+    pub fn put_if(&mut self, there: bool, i: usize, si: &SurfaceInteraction<P>) {
+        let vec = |lanes: &mut Lanes<P>, v: Vec3<P>| {
+            lanes.put_vec(i, Vec3::select(there, v, lanes.vec(i)));
+        };
+        vec(&mut self.p, si.p);
+        vec(&mut self.n_geo, si.n_geo);
+        vec(&mut self.s, si.frame.s);
+        vec(&mut self.t, si.frame.t);
+        vec(&mut self.n, si.frame.n);
+        self.u[i] = P::select(there, si.uv.x, self.u[i]);
+        self.v[i] = P::select(there, si.uv.y, self.v[i]);
+    }
+}
+
 lanes! {
     /// Samples of emitters.
     Lights {
