@@ -130,6 +130,31 @@ pub fn isolated<const N: usize>(
     })
 }
 
+/// Proves that a function has no root at most `radius` from a point, in the maximum norm. `false` where that cannot be shown.
+/// Never panics.
+///
+/// `at` bounds the function at the point, `over` its values and derivatives in the box, as for [`isolated`].
+///
+/// # Source
+/// The mean value form, as it is and times an approximate inverse of the Jacobian [Neumaier 1990, section 5.1].
+pub fn rootless<const N: usize>(at: &Bounded<N>, over: &Bounded<N>, radius: f64) -> bool {
+    let off = Interval::new(-radius, radius);
+    let apart = |x: Interval| x.lo() > 0.0 || x.hi() < 0.0;
+    let own = at.iter().zip(over).any(|(at, over)| {
+        let near = (over.eps.iter()).fold(at.re, |sum, slope| sum + *slope * off);
+        apart(over.re) || apart(near)
+    });
+    let across = || {
+        let row = |row: &[f64; N]| {
+            let here = product(row, |k| at[k].re);
+            let slopes = (0..N).map(|j| product(row, |k| over[k].eps[j]) * off);
+            here + slopes.sum::<Interval>()
+        };
+        inverse(over).is_some_and(|inverse| inverse.iter().any(|r| apart(row(r))))
+    };
+    own || across()
+}
+
 fn array_of<const N: usize>(f: impl Fn(usize, usize) -> f64) -> [[f64; N]; N] {
     let mut all = [[0.0; N]; N];
     for (i, row) in all.iter_mut().enumerate() {

@@ -1,6 +1,6 @@
 //! Bounds by intervals, and proofs of roots by them.
 
-use ad_core::krawczyk::{box_around, decided};
+use ad_core::krawczyk::{box_around, decided, rootless};
 use ad_core::{DiffFn, Dual, Interval, NewtonOptions, Real, diff_fn, krawczyk, newton};
 use proptest::prelude::*;
 
@@ -161,6 +161,27 @@ fn roots_are_alone_where_they_are() {
         assert!(krawczyk(&cube_roots_of_one, [x[0] + 0.3, x[1]], 0.1).is_none());
         assert!(krawczyk(&cube_roots_of_one, x, 2.0).is_none());
     }
+}
+
+/// Boxes around roots of z^3 = 1 have them; those of a grid that hold none are all shown to have none, but for few that touch one.
+#[test]
+fn boxes_without_roots_are_left_out() {
+    let half = 3f64.sqrt() / 2.0;
+    let roots = [[1.0, 0.0], [-0.5, half], [-0.5, -half]];
+    let (radius, mut left) = (0.01, 0);
+    for k in 0..40_000 {
+        let x = [k % 200, k / 200].map(|i| 0.02 * f64::from(i) - 1.99);
+        let bounds = |radius| decided(box_around(x, radius).map(|x| cube_roots_of_one.eval(x)));
+        let (at, over) = (
+            bounds(0.0).expect("smooth"),
+            bounds(radius).expect("smooth"),
+        );
+        let holds = |root: &[f64; 2]| (0..2).all(|i| (root[i] - x[i]).abs() <= radius);
+        let out = rootless(&at, &over, radius);
+        assert!(!(out && roots.iter().any(holds)), "{x:?}");
+        left += u32::from(!out);
+    }
+    assert!((3..30).contains(&left), "{left}");
 }
 
 diff_fn! { fn double_root<R>([x]: [R; 1]) -> [R; 1] { [x.square()] } }

@@ -729,6 +729,8 @@ pub enum ManifoldArg {
     Mnee,
     /// The same, and paths for what it misses
     MneeUnbiased,
+    /// Every solution of one vertex, by proof, over smooth surfaces without normal maps
+    Complete,
     /// Paths find all light, or all but that of the chains that options name
     Off,
 }
@@ -806,7 +808,14 @@ impl ManifoldArgs {
             }
             Some(ManifoldArg::Mnee) => Method::Mnee,
             Some(ManifoldArg::MneeUnbiased) => Method::MneeUnbiased,
+            Some(ManifoldArg::Complete) => Method::Complete,
         };
+        let compares = self.proofs.is_some() || self.uniqueness_threshold.is_some();
+        if method == Method::Complete && compares {
+            return usage(
+                "--manifold complete: proves all solutions; --proofs and --uniqueness-threshold are without effect",
+            );
+        }
         if method.is_deterministic() && self.trials.is_some() {
             return usage("--trials: without effect; expected --manifold sms or sms-biased");
         }
@@ -819,7 +828,12 @@ impl ManifoldArgs {
             );
         }
         let mut connections = Connections::new(method);
-        connections.bounces = self.bounces.unwrap_or(connections.bounces);
+        let bounces = if method == Method::Complete {
+            1
+        } else {
+            connections.bounces
+        };
+        connections.bounces = self.bounces.unwrap_or(bounces);
         connections.kinds = self.chains.map(|Chains(kinds)| kinds);
         if let (Method::Sms, Some(trials)) = (method, self.trials) {
             connections.budget = trials;
@@ -904,6 +918,9 @@ impl WalkReport {
     }
 }
 
+/// What happened to estimates that are exhausted.
+const TRIALS: &str = "ran out of trials";
+
 /// What manifold connections came to, for reports.
 #[derive(Clone, Debug, Serialize)]
 pub struct ManifoldReport {
@@ -928,6 +945,9 @@ pub struct ManifoldReport {
     /// The part of the image's light that they brought, of an image.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub share_of_light: Option<f64>,
+    /// What that means of those that are exhausted: shortly, and at length.
+    #[serde(skip)]
+    ran_out: [&'static str; 2],
     /// Of mnee-unbiased: paths that met light over a chain.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub paths_met: Option<u64>,
@@ -992,11 +1012,23 @@ impl ManifoldReport {
             Method::SmsBiased(trials) => (format!("sms-biased, {trials} walks"), false),
             Method::Mnee => ("mnee".to_owned(), false),
             Method::MneeUnbiased => ("mnee-unbiased".to_owned(), true),
+            Method::Complete => ("complete".to_owned(), true),
             Method::LeftOut => ("left out".to_owned(), false),
             Method::Paths => ("paths".to_owned(), true),
         };
+        let ran_out = match connections.method {
+            Method::Complete => [
+                "searches are not complete",
+                "left places undecided: solutions may be missing there",
+            ],
+            _ => [
+                TRIALS,
+                "ran out of trials: what they bring is biased; more by --trials",
+            ],
+        };
         let with_paths = connections.method == Method::MneeUnbiased;
         Some(Self {
+            ran_out,
             method,
             unbiased: unbiased
                 && s.exhausted == 0
@@ -1017,8 +1049,9 @@ impl ManifoldReport {
     fn complain(&self) {
         if self.walks.exhausted > 0 {
             complain!(
-                "warning: {} manifold connections ran out of trials: what they bring is biased; more by --trials",
-                self.walks.exhausted
+                "warning: {} manifold connections {}",
+                self.walks.exhausted,
+                self.ran_out[1]
             );
         }
     }
@@ -1110,15 +1143,16 @@ impl Walks {
     /// of estimators that solve equations, under the same names, and in `comments` whatever makes it biased.
     pub fn labels(&self, settings: &Settings, bad: &NonFinite) -> Labels {
         let SolvedReport { manifold, glints } = self.solved(settings);
-        let manifold = manifold.map(|m| ("manifold", m.method, m.unbiased, m.walks.exhausted));
-        let glints = glints.map(|g| ("glints", g.method, g.unbiased, g.walks.exhausted));
+        let manifold = manifold.map(|m| {
+            let exhausted = (m.walks.exhausted, m.ran_out[0]);
+            ("manifold", m.method, m.unbiased, exhausted)
+        });
+        let glints = glints.map(|g| ("glints", g.method, g.unbiased, (g.walks.exhausted, TRIALS)));
         let mut labels = Labels::new();
         let mut remarks = Vec::new();
-        for (of, method, unbiased, exhausted) in manifold.into_iter().chain(glints) {
+        for (of, method, unbiased, (exhausted, ran_out)) in manifold.into_iter().chain(glints) {
             if exhausted > 0 {
-                remarks.push(format!(
-                    "{of} ({method}): biased, {exhausted} ran out of trials"
-                ));
+                remarks.push(format!("{of} ({method}): biased, {exhausted} {ran_out}"));
             } else if !unbiased {
                 remarks.push(format!("{of} ({method}): biased"));
             }

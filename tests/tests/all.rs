@@ -26,6 +26,7 @@ mod lenses;
 mod light;
 mod losses;
 mod manifold;
+mod manifold_complete;
 #[cfg(not(debug_assertions))]
 mod manifold_energy;
 #[cfg(not(debug_assertions))]

@@ -6,6 +6,7 @@ use ad_core::{Float, Vec3};
 use smallvec::SmallVec;
 
 use super::chain::{Event, Events, Surface, Vertex, towards};
+use super::enumeration::{Every, Pieces};
 use super::estimate::{Asking, distinct, trials};
 use super::landing::{Landing, Landings};
 use super::normal::{Normal, Slopes, facet};
@@ -40,13 +41,13 @@ pub struct Statistics {
     pub walks: u64,
     /// Walks that converged.
     pub converged: u64,
-    /// Steps of walks, those that were halved included.
+    /// Steps of walks, those that were halved included; boxes of complete searches.
     pub steps: u64,
     /// Solutions that count, by an estimate of one over their probability or as they are.
     pub solutions: u64,
     /// Walks that it took to know how much they count.
     pub trials: u64,
-    /// Reciprocals that ran out of trials: where there is one, the image is biased.
+    /// Reciprocals that ran out of trials, and complete searches that ran out of boxes: where there is one, the image is biased.
     pub exhausted: u64,
     /// Walks of which it is proved that they ended in the solution that they were taken for ([`Connections::proofs`]).
     pub proved: u64,
@@ -147,6 +148,8 @@ pub struct Connector<'a> {
     /// Of normal maps, by shape, where walks have two stages.
     slopes: Vec<Option<Slopes>>,
     pub(super) landings: Landings,
+    /// Casters and their surfaces, where all solutions are sought.
+    pieces: Vec<(u32, Pieces)>,
     /// How often starts go to each caster or one before it in the list; empty where all are alike.
     pub(super) reach: Vec<f64>,
 }
@@ -196,7 +199,14 @@ impl<'a> Connector<'a> {
                 None
             }
         };
+        let casters = split.caster_list.iter();
+        let complete = options.method == Method::Complete;
+        let pieces = casters.filter(|_| complete).filter_map(|&shape| {
+            // What is not covered, `Split::admits` has refused.
+            Some((shape, Pieces::of(space.scene, shape).ok()?))
+        });
         Self {
+            pieces: pieces.collect(),
             space,
             split,
             options,
@@ -314,11 +324,37 @@ impl<'a> Connector<'a> {
                 let found = distinct(n, walk, same);
                 out.extend(found.iter().filter_map(|f| self.worth(f, &light)));
             }
+            Method::Complete => {
+                let every = self.every(&estimate, &mut s);
+                out.extend(every.iter().filter_map(|f| self.worth(f, &light)));
+                s.solutions += (out.len() - before) as u64;
+                s.trials += s.walks;
+            }
             Method::LeftOut | Method::Paths => {}
         }
         s.merge(&compared.get());
         s.found += u64::from(out.len() > before);
         s
+    }
+
+    /// All chains of one vertex, by proof.
+    fn every(&self, estimate: &Estimate, s: &mut Statistics) -> Vec<Solution> {
+        let mut every = Every::default();
+        for (shape, pieces) in &self.pieces {
+            for kind in [DeltaKind::Reflection, DeltaKind::Transmission] {
+                let reflects = kind == DeltaKind::Reflection;
+                let possible = reflects || refracts(self.space.scene.material(*shape));
+                if possible && self.takes(std::iter::once((*shape, kind))) {
+                    let ends = (estimate.start, estimate.target);
+                    self.space.every(pieces, ends, (*shape, kind), &mut every);
+                }
+            }
+        }
+        s.walks += every.roots;
+        s.converged += every.solutions.len() as u64;
+        s.steps += every.boxes;
+        s.exhausted += u64::from(every.undecided > 0);
+        every.solutions
     }
 
     /// Distinct solutions that landings around the start lead to, one after the other until one leads to nothing new; with

@@ -50,6 +50,7 @@
 mod chain;
 mod connector;
 pub mod constraint;
+mod enumeration;
 mod estimate;
 mod landing;
 mod met;
@@ -63,6 +64,7 @@ mod walk;
 pub use chain::{Chain, Derivative, Event, Row, Vertex};
 pub(crate) use connector::cast;
 pub use connector::{Connection, Connector, Link, Statistics};
+pub use enumeration::{Every, Pieces};
 pub(crate) use estimate::Asking;
 pub use estimate::{distinct, trials};
 pub use met::Met;

@@ -1,5 +1,6 @@
 //! Which paths belong to manifold connections.
 
+use super::enumeration::Pieces;
 use crate::bsdf::nesting::{Specular, facets};
 use crate::bsdf::{DeltaKind, Material};
 use crate::emitter::{AnyEmitter, Emitter};
@@ -383,14 +384,38 @@ impl Split {
         self.emitters[emitter as usize]
     }
 
-    /// Whether the method finds all light that it takes from others: for [`Method::MneeUnbiased`] paths have to meet lights.
+    /// Whether the method finds all light that it takes from others: for [`Method::MneeUnbiased`] paths have to meet lights, and for
+    /// [`Method::Complete`] chains have one vertex, on surfaces that [`Pieces`] covers.
     ///
     /// # Errors
-    /// Names the parameter of the first emitter without a size.
+    /// Names the parameter of the first emitter without a size, or the first shape that is not covered.
     pub fn admits(&self, scene: &Scene, method: Method) -> Result<(), RenderError> {
-        if method != Method::MneeUnbiased {
-            return Ok(());
+        match method {
+            Method::Complete => self.is_covered(scene),
+            Method::MneeUnbiased => self.meets_lights(scene),
+            _ => Ok(()),
         }
+    }
+
+    fn is_covered(&self, scene: &Scene) -> Result<(), RenderError> {
+        let refused = |what: String| Err(RenderError::Connections { what });
+        if self.bounces > 1 {
+            return refused(format!(
+                "`complete`: finds chains of one vertex, expected `--bounces 1`; found {}",
+                self.bounces
+            ));
+        }
+        let uncovered = |&shape: &u32| Some((shape, Pieces::covers(scene, shape).err()?));
+        match self.caster_list.iter().find_map(uncovered) {
+            None => Ok(()),
+            Some((shape, what)) => refused(format!(
+                "`complete`: shape `{}`: does not cover {what}; expected `sms`",
+                scene.shape_info(shape).name
+            )),
+        }
+    }
+
+    fn meets_lights(&self, scene: &Scene) -> Result<(), RenderError> {
         let mut emitters = (self.emitter_list.iter()).map(|&e| &scene.emitters()[e as usize]);
         let Some(unmet) = emitters.find(|e| e.is_delta()) else {
             return Ok(());

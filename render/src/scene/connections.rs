@@ -207,6 +207,9 @@ pub enum Method {
     /// the same two ends does not find that chain. Unbiased where lights have a size that paths can meet
     /// ([`crate::manifold::Split::admits`]) [Hanika et al. 2015].
     MneeUnbiased,
+    /// Every solution, by proof: those of one vertex, over smooth surfaces without normal maps. No random number but that of the
+    /// light; where a search runs out of boxes, that is counted ([`crate::manifold::Space::every`]).
+    Complete,
     /// None: the light that connections would find is left out.
     LeftOut,
     /// None: paths find that light, too.
@@ -214,9 +217,9 @@ pub enum Method {
 }
 
 impl Method {
-    /// Whether walks have one start, which is not random.
+    /// Whether no start of a walk is random.
     pub fn is_deterministic(self) -> bool {
-        matches!(self, Self::Mnee | Self::MneeUnbiased)
+        matches!(self, Self::Mnee | Self::MneeUnbiased | Self::Complete)
     }
 
     /// Whether there are walks.

@@ -49,6 +49,13 @@ impl Cube {
     }
 }
 
+impl Cube {
+    /// Its six faces.
+    pub(crate) fn faces(&self) -> &[Patch; 6] {
+        &self.faces
+    }
+}
+
 impl Shape for Cube {
     fn primitives(&self) -> Vec<Primitive> {
         self.faces.iter().map(Patch::primitive).collect()

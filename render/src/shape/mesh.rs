@@ -296,6 +296,11 @@ impl Mesh {
         self.data.triangle(prim as usize)
     }
 
+    /// All of them.
+    pub(crate) fn all_triangles(&self) -> impl Iterator<Item = Triangle> + '_ {
+        (0..self.data.mesh.triangles.len()).map(|i| self.data.triangle(i))
+    }
+
     /// Where its arrays are in memory.
     pub(crate) fn address(&self) -> usize {
         Arc::as_ptr(&self.data).addr()

@@ -71,6 +71,11 @@ impl Patch {
         self.area
     }
 
+    /// Its unit normal, world space.
+    pub(crate) fn normal(&self) -> Vec3<f64> {
+        lift3(self.frame.n.to_array())
+    }
+
     /// Its middle, world space.
     pub fn centroid(&self) -> [f64; 3] {
         let [corner, e1, e2] = [self.corner, self.e1, self.e2].map(lift3::<f64>);

@@ -2,6 +2,7 @@
 
 pub mod auto_estimator;
 pub mod caustic_ring;
+pub mod every_chain;
 pub mod guided_pool;
 pub mod measured_pixels;
 pub mod moving_outlines;
