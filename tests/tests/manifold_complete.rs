@@ -133,8 +133,8 @@ fn exhaustive(
     found
 }
 
-/// Reflection off a mesh of 168 triangles and off a ball, and refraction out of both: from 120 places on the floor, what a search
-/// over 6 400 directions finds, and, but for one solution in a hundred that this misses, nothing else.
+/// Reflection off a mesh of 168 triangles and off a ball, and refraction out of both: from 60 places on the floor, what a search
+/// over 2 304 directions finds, and, but for one solution in a hundred that this misses, nothing else.
 #[test]
 #[cfg_attr(debug_assertions, ignore = "many walks: runs with --release")]
 fn every_root_is_found_and_no_other() {
@@ -171,14 +171,14 @@ fn every_root_is_found_and_no_other() {
         let space = space(&s, &values);
         let event = (caster(&s), kind);
         let pieces = Pieces::of(&s, event.0).expect("covered");
-        let compared = (0..120u64).into_par_iter().map(|i| {
+        let compared = (0..60u64).into_par_iter().map(|i| {
             let mut rng = Independent::new(1, 0, i);
             let [x, z] = rng.next_2d::<f64>().map(|u| 3.0 * u - 1.5);
             let start = floor(&s, x, z);
             let mut every = Every::default();
             space.every(&pieces, (&start, &target), event, &mut every);
             assert_eq!(every.undecided, 0, "{x} {z}");
-            let expected = exhaustive(&space, (&start, &target), event, 80);
+            let expected = exhaustive(&space, (&start, &target), event, 48);
             let has = |all: &[Solution], s: &Solution| {
                 all.iter().any(|a| a.is(s, Uniqueness::ErrorBounds))
             };
@@ -195,7 +195,7 @@ fn every_root_is_found_and_no_other() {
         let (expected, more) = compared.reduce(|| (0, 0), |a, b| (a.0 + b.0, a.1 + b.1));
         println!("{kind:?}: {expected} solutions, and {more} that the search missed");
         assert!(
-            expected >= 60 && more <= most * expected / 100,
+            expected >= 30 && more <= most * expected / 100,
             "{expected} {more}"
         );
     }
@@ -226,8 +226,8 @@ fn continua_end_undecided() {
     assert!(every.solutions.iter().all(|s| s.error.is_finite()));
 }
 
-/// The light over a bumpy mirror, a ball of glass around a bulb's place and a cube of metal, against unbiased random walks: 32 runs of
-/// 16 samples; significance 1e-3 over all comparisons. No estimate runs out of boxes, variance is no larger, and the image is the same
+/// The light over a bumpy mirror, a ball of glass around a bulb's place and a cube of metal, against unbiased random walks: 16 runs of
+/// 8 samples; significance 1e-3 over all comparisons. No estimate runs out of boxes, variance is no larger, and the image is the same
 /// for any number of threads.
 #[test]
 #[cfg_attr(debug_assertions, ignore = "many samples: runs with --release")]
@@ -238,13 +238,13 @@ fn complete_searches_bring_the_light_of_random_ones() {
     );
     let half = format!(r#"<shape type="sphere"><float name="radius" value="1.2"/>{GLASS}</shape>"#);
     let shapes = [bumpy_ball(folder.path(), [12, 8], METAL), half, cube];
-    let limit = z_limit(shapes.len() + 1, 32, 1e-3);
+    let limit = z_limit(shapes.len(), 16, 1e-3);
     for shape in &shapes {
         let s = over_floor(shape);
         let light = |method: Method, run: u64| {
             let settings = by(method);
             let theta = Theta::constant(s.params().values());
-            let job = Job::new(&s, &settings, 10 + run, 0..16, &());
+            let job = Job::new(&s, &settings, 10 + run, 0..8, &());
             let found = render_f32(&job, &theta, Estimator::Mis);
             assert_eq!(found.connections.exhausted, 0, "{method:?}");
             found.light_of_connections
@@ -268,7 +268,7 @@ fn complete_searches_bring_the_light_of_random_ones() {
     let s = over_floor(&shapes[0]);
     let settings = complete();
     let theta = Theta::constant(s.params().values());
-    let job = Job::new(&s, &settings, 1, 0..8, &());
+    let job = Job::new(&s, &settings, 1, 0..4, &());
     let image = on_any_threads(|| render_f32(&job, &theta, Estimator::Mis).image(0).data);
     assert!(image.iter().all(|v| v.is_finite()));
 }

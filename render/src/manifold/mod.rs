@@ -14,6 +14,11 @@
 //! Two walks ended in the same root if they are nearer than both may be off. Of a sample of them that is proved, by interval arithmetic
 //! ([`Space::sameness`]), and [`Statistics`] say how many proofs succeeded.
 //!
+//! # All chains, without trials
+//! Where chains have one vertex, on smooth surfaces without normal maps, [`Space::every`] finds every one of them and proves that
+//! there is no other ([`crate::scene::Method::Complete`]): nothing is random but the point of the light. It takes longer than some
+//! walks, and so pays where solutions are many or rare.
+//!
 //! # Rough casters
 //! Of metal and glass that are rough, the normal of one facet per vertex is drawn for each estimate and kept through all its
 //! walks; the chain is that of a mirror with this offset normal, and its light is worth the value of the material over the
