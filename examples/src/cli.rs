@@ -781,6 +781,12 @@ impl ManifoldArgs {
         let method = match self.manifold {
             None => {
                 if let Some(connections) = &settings.connections {
+                    if settings.caustics == Caustics::Particles {
+                        return usage(
+                            "--caustics particles: the scene's integrator says who finds that light; expected --manifold off, or \
+                             --caustics paths",
+                        );
+                    }
                     complain_of_casters(scene, connections);
                 }
                 return admits(scene, settings);
@@ -796,6 +802,7 @@ impl ManifoldArgs {
                 }
                 let named = self.bounces.is_some() || self.chains.is_some();
                 if !named && self.caster_roughness.is_none() {
+                    complain_of_more_light(settings, "--manifold");
                     settings.connections = None;
                     return Ok(());
                 }
@@ -859,8 +866,20 @@ impl ManifoldArgs {
                 "warning: --manifold: nothing smooth to connect lights over, or none but wide ones; paths find all light"
             );
         }
+        if method.walks() {
+            complain_of_more_light(settings, "--manifold");
+        }
         settings.connections = Some(connections);
         admits(scene, settings)
+    }
+}
+
+/// Says that an option takes the place of the scene's integrator, where that leaves light out.
+pub fn complain_of_more_light(settings: &Settings, option: &str) {
+    if (settings.connections).is_some_and(|c| c.light != CasterLight::All) {
+        complain!(
+            "warning: {option}: takes the place of the scene's integrator: what that leaves out of the light over casters is there"
+        );
     }
 }
 

@@ -704,7 +704,34 @@ fn encode_planes(
         .write()
         .to_buffered(&mut bytes)
         .map_err(|e| unwritable(path, std::io::Error::other(e)))?;
-    write_atomically(path, bytes.get_ref())
+    let mut bytes = bytes.into_inner();
+    if sort_attributes(&mut bytes).is_none() {
+        let found = std::io::Error::other("a header that does not end");
+        return Err(unwritable(path, found));
+    }
+    write_atomically(path, &bytes)
+}
+
+/// Sorts the attributes in the header of an OpenEXR file of one part: the encoder writes labels in an order of chance, and what
+/// is written is a function of the image. `None` if the header does not end.
+fn sort_attributes(file: &mut [u8]) -> Option<()> {
+    /// Where they begin: behind the format's number and version.
+    const BEGIN: usize = 8;
+    let after_text = |at: usize| Some(at + file.get(at..)?.iter().position(|&b| b == 0)? + 1);
+    let mut attributes = Vec::new();
+    let mut at = BEGIN;
+    while *file.get(at)? != 0 {
+        // A name, a type, the size of the value, and the value.
+        let size = after_text(after_text(at)?)?;
+        let value = size + 4;
+        let bytes = file.get(size..value)?.try_into().ok()?;
+        let end = value.checked_add(u32::from_le_bytes(bytes) as usize)?;
+        attributes.push(file.get(at..end)?.to_vec());
+        at = end;
+    }
+    attributes.sort();
+    file[BEGIN..at].copy_from_slice(&attributes.concat());
+    Some(())
 }
 
 /// Writes an 8-bit PNG for viewing: `2^stops` times the image, cut to [0, 1], on the sRGB curve.

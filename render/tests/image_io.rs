@@ -103,6 +103,24 @@ fn exr_returns_its_labels() {
     assert!(read_labels(&png).is_err());
 }
 
+/// Files with the same image and labels are the same, byte by byte.
+#[test]
+fn exr_files_are_a_function_of_what_is_in_them() {
+    let dir = tempfile::tempdir().unwrap();
+    let image = ramp(5, 3);
+    let names = ["a.one", "b.two", "comments", "d.four", "e.five", "f.six"];
+    let labels: Labels = names.map(|n| (n.to_owned(), n.repeat(2))).into();
+    let written = |i: i32| {
+        let path = dir.path().join(format!("{i}.exr"));
+        write_exr_with(&path, &image, None, &labels).unwrap();
+        assert_eq!(read_labels(&path).unwrap(), labels);
+        assert_eq!(read_rgb(&path).unwrap(), image);
+        std::fs::read(&path).unwrap()
+    };
+    let first = written(0);
+    assert!((1..8).all(|i| written(i) == first));
+}
+
 #[test]
 fn exr_channels_are_found_by_name() {
     let dir = TempDir::new().unwrap();

@@ -8,7 +8,7 @@ use std::time::Instant;
 use clap::{Parser, ValueEnum};
 use render::Job;
 use render::bsdf::kernel::{Rules, Symmetry};
-use render::bsdf::nesting::scatters_deltas;
+use render::bsdf::nesting::{flips_normals, scatters_deltas};
 use render::instances::{Estimator, density_f32, particles_f32, render_f32};
 use render::integrator::coverage;
 use render::integrator::density::Convention;
@@ -20,8 +20,8 @@ use render::{RenderError, Scene, Settings, image_io};
 use serde::Serialize;
 
 use crate::cli::{
-    LoadArgs, ManifoldArgs, Outcome, SampleArgs, SolvedReport, ThreadArgs, ToolError, Walks, depth,
-    manifold_planes, report_non_finite, sample_count, warn_of_unsampled,
+    self, LoadArgs, ManifoldArgs, Outcome, SampleArgs, SolvedReport, ThreadArgs, ToolError, Walks,
+    depth, manifold_planes, report_non_finite, sample_count, warn_of_unsampled,
 };
 use crate::output;
 use crate::progress::{Bar, Interrupt};
@@ -286,6 +286,20 @@ fn check_method(method: Method, scene: &Scene) -> Result<(), ToolError> {
     Ok(())
 }
 
+/// Refuses what `--manifold-check` cannot check, before there is an image to lose.
+fn check_checkable(scene: &Scene, settings: &Settings) -> Result<(), ToolError> {
+    let connects = (settings.connections).is_some_and(|c| c.method.walks());
+    let message = if !connects {
+        "--manifold-check: no connections to check; expected --manifold, or a scene that asks for them"
+    } else if scene.materials().iter().any(|m| flips_normals(m)) {
+        "--manifold-check: flip_invalid_normals turns normals to the viewer, whom particles do not know; expected a scene \
+         without it, or no check"
+    } else {
+        return Ok(());
+    };
+    Err(ToolError::Usage(message.into()))
+}
+
 /// Says which shape, if any, particles do not show as it is: they reach the camera from no Dirac delta.
 fn warn_of_deltas(scene: &Scene) {
     let shapes = 0..scene.shapes().len() as u32;
@@ -345,13 +359,12 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     args.manifold.apply(&scene, &mut settings)?;
     if !matches!(method, Method::Paths(_)) {
         // All light is particles' there.
+        cli::complain_of_more_light(&settings, "--integrator");
         settings.connections = None;
         settings.glints = None;
     }
-    let connects = (settings.connections).is_some_and(|c| c.method.walks());
-    if args.manifold_check && !connects {
-        let message = "--manifold-check: no connections to check; expected --manifold, or a scene that asks for them";
-        return Err(ToolError::Usage(message.into()));
+    if args.manifold_check {
+        check_checkable(&scene, &settings)?;
     }
     if args.manifold_picture.is_some() {
         let Some(connections) = &mut settings.connections else {

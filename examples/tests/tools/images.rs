@@ -168,6 +168,24 @@ fn manifold_connections_are_rendered_reported_and_checked() {
     );
 }
 
+/// A scene file whose integrator leaves light out is said to show it after all, where options take that integrator's place.
+#[test]
+fn options_that_bring_more_light_than_the_file_say_so() {
+    let dir = glass_balls();
+    let says = |options: &str| {
+        let output = dir.run("render", &format!("filtered.xml --spp 1 {options}"));
+        assert!(output.status.success(), "{options}");
+        String::from_utf8_lossy(&output.stderr)
+            .contains("takes the place of the scene's integrator")
+    };
+    for options in ["--manifold sms", "--manifold off", "--integrator particle"] {
+        assert!(says(options), "{options}");
+    }
+    for options in ["", "--manifold off --bounces 1"] {
+        assert!(!says(options), "{options}");
+    }
+}
+
 /// Files of images say of connections what reports do: that trials ran out, and that they are biased. Where nothing is connected
 /// they say nothing.
 #[test]
@@ -232,6 +250,7 @@ fn manifold_options_without_effect_are_refused() {
         ("bulb.xml --manifold mnee-unbiased", "bulb.intensity.value"),
         ("aimed.xml", "bulb.intensity.value"),
         ("filtered.xml --manifold-check", "no connections to check"),
+        ("filtered.xml --caustics particles", "--manifold off"),
         (
             "ball.xml --manifold sms --caustics particles",
             "one of them",

@@ -135,6 +135,11 @@ fn mistakes_of_render_end_with_a_message_and_without_a_file() {
                 "flip_invalid_normals",
             ),
             (
+                "flipped.xml --manifold sms --manifold-check -o a.exr".into(),
+                1,
+                "--manifold-check: flip_invalid_normals",
+            ),
+            (
                 "scene.xml --guide --integrator particle -o a.exr".into(),
                 1,
                 "--guide: particles are not guided",
