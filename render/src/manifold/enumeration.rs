@@ -28,6 +28,9 @@ const LEAST: f64 = 1e-7;
 const MOST_BOXES: u64 = 1 << 16;
 /// How far beyond its edges a piece is searched: roots on edges of two pieces are found twice, and not lost.
 const MARGIN: f64 = 1e-9;
+/// Triangles thinner than this part of their length are left out: rays in single precision do not meet them, and across them
+/// nothing changes that a search could go by.
+const SLIVER: f64 = 1e-12;
 /// Steps of Newton's method from the middle of a box with one root.
 const NEWTON: u32 = 8;
 /// A chain has met what a root stands for up to this part of its first edge. It decides what hides a root, not where it is.
@@ -222,10 +225,14 @@ fn build(all: &mut [(Piece, [Vec3<Interval>; 2])], first: u32, nodes: &mut Vec<N
 }
 
 fn of_mesh(mesh: &Mesh) -> Vec<Piece> {
-    let of = mesh.all_triangles().map(|t| {
+    let of = mesh.all_triangles().filter_map(|t| {
         let [v0, e1, e2] = [t.v0, t.edges[0], t.edges[1]].map(lift3::<f64>);
-        let zero = Vec3::zero();
-        let flat = [e1.cross(e2), zero, zero];
+        let (zero, flat) = (Vec3::zero(), e1.cross(e2));
+        let longest = e1.length_squared().max(e2.length_squared());
+        if flat.length() <= SLIVER * longest {
+            return None;
+        }
+        let flat = [flat, zero, zero];
         let n = match t.normals {
             Some([a, b, c]) if [a, b, c] != [[0.0; 3]; 3] => {
                 let [a, b, c] = [a, b, c].map(lift3::<f64>);
@@ -233,11 +240,11 @@ fn of_mesh(mesh: &Mesh) -> Vec<Piece> {
             }
             _ => flat,
         };
-        Piece::Linear {
+        Some(Piece::Linear {
             p: [v0, e1, e2],
             n: n.map(|n| if t.flip { -n } else { n }),
             triangle: true,
-        }
+        })
     });
     of.collect()
 }
