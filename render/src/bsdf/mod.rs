@@ -98,7 +98,7 @@ mod blinn_phong;
 mod bump_map;
 pub mod chart;
 mod charted;
-mod coat;
+pub(crate) mod coat;
 mod conductor;
 mod dielectric;
 pub mod differential;

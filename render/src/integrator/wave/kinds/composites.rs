@@ -246,18 +246,18 @@ impl<P: Float> Composites<P> {
         if !mixture.parts.iter().all(known) {
             return false;
         }
-        let mut both = [false; 2];
-        for ((part, leaves), both) in mixture.parts.iter().zip(&mut self.parts).zip(&mut both) {
-            if let Some((leaf, same)) = part.and_then(leaf) {
-                leaves.take(k, leaf, &at);
-                *both = same;
+        let mut both = [0; 2];
+        for side in 0..2 {
+            if let Some((leaf, same)) = mixture.parts[side].and_then(leaf) {
+                self.parts[side].take(k, leaf, &at);
+                both[side] = u32::from(same);
             }
         }
         let lanes = &mut *self.lanes;
         lanes.turn[k] = turn;
         (lanes.weight[k], lanes.second[k]) = (mixture.weight, mixture.second);
         lanes.hole[k] = u32::from(mixture.hole);
-        [lanes.both_a[k], lanes.both_b[k]] = both.map(u32::from);
+        [lanes.both_a[k], lanes.both_b[k]] = both;
         lanes.tilted[k] = u32::from(mixture.tilt.is_some());
         lanes.shadowed[k] = 0;
         if let Some(Tilt(frame, shadowed)) = mixture.tilt {
