@@ -733,6 +733,9 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             let Some(together) = together(scene, emitter) else {
                 continue;
             };
+            if !few && matches!(together, Together::Ball(..)) {
+                continue;
+            }
             if few && !matches!(together, Together::Envmap(_)) {
                 let emitter = (index, together);
                 (self.group).sample_all(scene, emitter, self.n, &at.p, [a, b], lights);
@@ -1315,15 +1318,17 @@ fn constant_radiances<P: Float>(
 /// Forgets the densities of scattered directions where nothing scattered meets the light that is sampled.
 #[inline(never)]
 fn leave_deltas<P: Float>(emitters: &[AnyEmitter], n: usize, lights: &mut Lights<P>) {
-    for (index, e) in (0..).zip(emitters).take(FEW) {
-        if e.is_delta() {
-            for i in 0..whole(n) {
-                let own = lights.emitter[i] == index;
-                lights.pdf_bsdf[i] = P::select(own, P::zero(), lights.pdf_bsdf[i]);
-            }
-        }
+    // A bit for each of the first emitters.
+    let mut deltas = 0u64;
+    for (index, e) in emitters.iter().enumerate().take(64) {
+        deltas |= u64::from(e.is_delta()) << index;
     }
-    if emitters.len() > FEW {
+    for i in 0..whole(n) {
+        let index = lights.emitter[i];
+        let delta = (deltas >> (index % 64) & 1 != 0) & (index < 64);
+        lights.pdf_bsdf[i] = P::select(delta, P::zero(), lights.pdf_bsdf[i]);
+    }
+    if emitters.len() > 64 {
         for i in 0..n.min(WAVE_SIZE) {
             if emitters[lights.emitter[i] as usize].is_delta() {
                 lights.pdf_bsdf[i] = P::zero();
