@@ -448,21 +448,22 @@ mod tests {
         }
     }
 
-    /// A spline goes through its nodes and continues linearly beyond them.
+    /// A spline goes through its nodes, and is linear, with the ends, where these are.
     #[test]
-    fn splines_pass_nodes_and_go_on_linearly() {
-        let values = [0.3, -1.0, 2.0, 0.5, 0.7];
-        let at = |x: f64| {
+    fn splines_pass_nodes_and_are_linear_where_these_are() {
+        let at = |values: [f64; 5], x: f64| {
             let (nodes, weights) = spline(x, values.len());
             let terms = nodes.into_iter().zip(weights);
             terms.map(|(i, w)| values[i] * w).sum::<f64>()
         };
+        let values = [0.3, -1.0, 2.0, 0.5, 0.7];
         for (i, value) in values.into_iter().enumerate() {
-            assert!((at(i as f64) - value).abs() < 1e-14, "{i}");
+            assert!((at(values, i as f64) - value).abs() < 1e-14, "{i}");
         }
-        for (end, out) in [(0.0, -1.0), (4.0, 1.0)] {
-            let [a, b] = [0.5, 1.5].map(|by| at(end + out * by));
-            assert!((b - a - 2.0 * (a - at(end))).abs() < 1e-13, "{end}");
+        for k in 0..=400 {
+            let x = f64::from(k) / 100.0;
+            let line = [0.0, 1.0, 2.0, 3.0, 4.0].map(|x| 0.3 - 0.7 * x);
+            assert!((at(line, x) - (0.3 - 0.7 * x)).abs() < 1e-14, "{x}");
         }
         assert_eq!(through(f64::NAN, 5).0, 0);
         assert_eq!(through(-3.0, 5).0, 0);

@@ -733,12 +733,13 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             let Some(together) = together(scene, emitter) else {
                 continue;
             };
-            if !few && matches!(together, Together::Ball(..)) {
-                continue;
-            }
             if few && !matches!(together, Together::Envmap(_)) {
                 let emitter = (index, together);
                 (self.group).sample_all(scene, emitter, self.n, &at.p, [a, b], lights);
+                continue;
+            }
+            // All others take less time one by one than to be gathered.
+            if !matches!(together, Together::Rectangle(..) | Together::Envmap(_)) {
                 continue;
             }
             let mut chosen = [0; WAVE_SIZE];
