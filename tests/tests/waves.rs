@@ -128,6 +128,37 @@ fn lamps() -> Case {
     }
 }
 
+/// Lights of all kinds that waves sample together, and some that they do not: as few as all paths sample, or so many that
+/// paths are sorted by them, or so many that some are called one by one. `more`: how many points there are besides.
+fn beacons(name: &'static str, more: usize) -> Case {
+    let point = |i: usize| {
+        let (x, y) = (0.3 * (i as f64 - 5.0), 0.4 + 0.07 * i as f64);
+        format!(
+            r#"<emitter type="point"><point name="position" value="{x}, {y}, 0.6"/><rgb name="intensity" value="0.4, 0.3, {y}"/></emitter>"#
+        )
+    };
+    let spot = |at: &str, cutoff: f64, beam: f64| {
+        format!(
+            r#"<emitter type="spot"><transform name="to_world"><lookat origin="{at}" target="0, 0, 0" up="0, 0, 1"/></transform>
+               <float name="cutoff_angle" value="{cutoff}"/><float name="beam_width" value="{beam}"/>
+               <rgb name="intensity" value="5, 6, 4"/></emitter>"#
+        )
+    };
+    let mut body = LIT.to_string();
+    body += r#"<bsdf type="roughplastic" id="lacquer"><float name="alpha" value="0.2"/></bsdf>
+        <shape type="rectangle"><transform name="to_world"><scale value="3"/><rotate x="1" angle="-90"/></transform><ref id="lacquer"/></shape>
+        <shape type="sphere"><point name="center" value="0, 0.4, 0"/><float name="radius" value="0.4"/><ref id="lacquer"/></shape>
+        <shape type="sphere"><point name="center" value="1, 0.9, 0"/><float name="radius" value="0.1"/>
+        <emitter type="area"><rgb name="radiance" value="8, 9, 7"/></emitter></shape>
+        <emitter type="directional"><vector name="direction" value="-1, -2, 0.3"/><rgb name="irradiance" value="1, 0.9, 0.8"/></emitter>"#;
+    body += &spot("1, 2, 1", 30.0, 10.0);
+    body += &spot("-1, 2, 0", 20.0, 20.0);
+    for i in 0..more {
+        body += &point(i);
+    }
+    Case { name, body }
+}
+
 /// Glossy things seen through a lens, and by parallel rays.
 fn lenses() -> [Case; 2] {
     let glossy = cases::all().into_iter().find(|c| c.name == "ggx");
@@ -807,7 +838,10 @@ fn images_are_those_of_single_paths_bit_by_bit() {
     use Estimator::{Detached, Emitter, Mis};
     // So smooth that derivatives in roughness are rounding, but images are not.
     let smooth = cabinet(1e-4);
-    let more = [smooth, principles(), leaves()].map(|case| {
+    let lights = [("beacons", 1), ("more beacons", 5), ("most beacons", 15)];
+    let lights = lights.map(|(name, more)| beacons(name, more));
+    let more = [smooth, principles(), leaves()].into_iter().chain(lights);
+    let more = more.map(|case| {
         let scene = scene(&case.body);
         (case, scene)
     });

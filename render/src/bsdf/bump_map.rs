@@ -56,11 +56,13 @@ impl BumpMap {
 }
 
 /// The slope of the unscaled heights along u and v.
+#[inline(always)]
 fn slope<R: Real>(height: &ScalarTexture, at: &Shading<R>) -> [R; 2] {
     let f = height.slopes(at.uv);
     let mut sum = [R::zero(); 2];
-    for (texel, [u, v]) in f.texel.into_iter().zip(f.weight) {
-        let [h]: [R; 1] = at.theta.texel(f.param, texel as usize);
+    for k in 0..4 {
+        let [h]: [R; 1] = at.theta.texel(f.param, f.texel[k] as usize);
+        let [u, v] = f.weight[k];
         sum[0] += h * u;
         sum[1] += h * v;
     }
@@ -69,6 +71,7 @@ fn slope<R: Real>(height: &ScalarTexture, at: &Shading<R>) -> [R; 2] {
 
 /// What the normal of a displaced surface is multiplied with: one over its largest component, with the sign that
 /// turns it to the front. `None` where it is none.
+#[inline(always)]
 fn front<R: Real>(n: Vec3<R>) -> Option<R::Primal> {
     let n = n.primal();
     let size = n.x.abs().max(n.y.abs()).max(n.z.abs());
@@ -78,6 +81,7 @@ fn front<R: Real>(n: Vec3<R>) -> Option<R::Primal> {
 }
 
 /// Normal to `dp/du = (a, 0, u)` and `dp/dv = (b, c, v)`.
+#[inline(always)]
 fn normal<R: Real>(Stretch { a, b, c }: &Stretch<R>, [u, v]: [R; 2]) -> Vec3<R> {
     Vec3::new(-(u * *c), u * *b - v * *a, *a * *c)
 }
@@ -86,7 +90,8 @@ impl Tilt for Bumps {
     #[inline]
     fn vector<R: Real>(&self, at: &Shading<R>) -> Vec3<R> {
         let scale = self.scale.scalar(&at.theta, at.uv);
-        let n = normal(&at.stretch(), slope(&self.height, at).map(|x| x * scale));
+        let [u, v] = slope(&self.height, at);
+        let n = normal(&at.stretch(), [u * scale, v * scale]);
         // Its length does not matter, but has to be far from the ends of the scalar.
         front(n).map_or(Vec3::zero(), |by| n * Const(by))
     }

@@ -4,6 +4,7 @@ use std::f64::consts::PI;
 
 use ad_core::{Float, Real, Vec2, Vec3, array};
 
+use crate::math::angle;
 use crate::texture;
 
 /// How dp/du and dp/dv lie in the plane of a shading frame, whose first axis is the projection of dp/du: `(a, 0)` and
@@ -159,13 +160,13 @@ impl Chart {
                 Stretch { a, b, c }
             }
             Kind::Ball([equator, meridian]) => Stretch {
-                a: (uv.y * R::c(PI)).sin_cos().0.max(R::zero()) * R::of(*equator),
+                a: angle::sin_cos(uv.y * R::c(0.5)).0.max(R::zero()) * R::of(*equator),
                 b: R::zero(),
                 c: R::of(*meridian),
             },
             Kind::Disk { squares, area } => {
                 let [uu, uv_, vv] = squares.map(R::of);
-                let (sin, cos) = (uv.y * R::c(2.0 * PI)).sin_cos();
+                let (sin, cos) = angle::sin_cos(uv.y);
                 let a =
                     (uu * cos.square() + uv_ * cos * sin * R::c(2.0) + vv * sin.square()).sqrt();
                 let along = uv_ * (cos.square() - sin.square()) + (vv - uu) * cos * sin;

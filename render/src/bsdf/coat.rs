@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::sync::{LazyLock, Mutex, OnceLock, PoisonError};
 
-use ad_core::{Const, Float, Real, Vec3};
+use ad_core::{Const, Float, Real, Vec3, array};
 
 use super::dielectric::INDEX_RANGE;
 use super::fresnel;
@@ -195,14 +195,20 @@ impl<R: Real> Passes<'_, R> {
     /// Fraction of light from above, under the angle whose cosine is `cos`, that the coat does not reflect.
     #[inline]
     pub fn transmit(&self, cos: R) -> R {
-        let (j, wj) = spline(cos.sqrt() * R::c((COSINES - 1) as f64), COSINES);
-        self.sum(|row, w| {
-            let mut value = R::zero();
-            for (b, wj) in wj.into_iter().enumerate() {
-                value += wj * R::c(row.transmit[j[b]]);
-            }
-            value * w
-        })
+        let (cell, weights) = place(cos);
+        weighed(self.nodes(cell), weights)
+    }
+
+    /// What passes at the nodes around a [`place`].
+    #[inline]
+    pub(crate) fn nodes(&self, cell: u32) -> [R; 4] {
+        let around = neighbours(cell as usize, COSINES);
+        array(|k| self.node(around[k]))
+    }
+
+    #[inline(always)]
+    fn node(&self, j: usize) -> R {
+        self.sum(|row, w| w * R::c(row.transmit[j]))
     }
 
     /// Fraction of diffuse light from below that the coat reflects.
@@ -234,56 +240,119 @@ impl<R: Real> Passes<'_, R> {
     }
 }
 
+/// What passes a coat of one roughness and index at all nodes of cosines: to be kept for as long as these stay the same.
+#[derive(Clone, Debug)]
+pub struct Curve<P> {
+    /// The first and the last one twice.
+    nodes: [P; COSINES + 2],
+    /// See [`Passes::inside`].
+    pub inside: P,
+}
+
+impl<P: Float> Curve<P> {
+    /// Of a coat.
+    pub fn of(passes: &Passes<P>) -> Self {
+        Self {
+            nodes: array(|j| passes.node(j.saturating_sub(1).min(COSINES - 1))),
+            inside: passes.inside(),
+        }
+    }
+
+    /// [`Passes::nodes`].
+    #[inline(always)]
+    pub fn nodes(&self, cell: u32) -> [P; 4] {
+        let first = (cell as usize).min(COSINES - 2);
+        array(|k| self.nodes[first + k])
+    }
+}
+
+/// The cell of nodes in which a cosine lies, and the weights of those [around](Passes::nodes) it: without a branch, for loops
+/// over many.
+#[inline(always)]
+pub fn place<R: Real>(cos: R) -> (u32, [R; 4]) {
+    let x = cos.sqrt() * R::c((COSINES - 1) as f64);
+    let (cell, weights) = through(x, COSINES);
+    (cell, continued(cell, before_first(cell, weights), COSINES))
+}
+
+/// The sum of what nodes have with their weights.
+#[inline(always)]
+pub fn weighed<R: Real>(nodes: [R; 4], weights: [R; 4]) -> R {
+    let [a, b, c, d] = nodes;
+    let [u, v, w, x] = weights;
+    a * u + b * v + c * w + d * x
+}
+
 /// Nodes and weights of a Catmull-Rom spline through `n` equidistant values at `x` in `[0, n - 1]`.
 /// Beyond the ends the values continue linearly.
 #[inline]
 fn spline<R: Real>(x: R, n: usize) -> ([usize; 4], [R; 4]) {
-    let (mut i, mut w) = through(x, n);
-    if i[1] == 0 {
-        w = [R::zero(), w[1] + w[0] * R::c(2.0), w[2] - w[0], w[3]];
-        i[0] = 0;
-    }
-    continued(i, w, n)
+    let (cell, weights) = through(x, n);
+    let weights = continued(cell, before_first(cell, weights), n);
+    (neighbours(cell as usize, n), weights)
 }
 
 /// The same of an even function.
 #[inline]
 fn even_spline<R: Real>(x: R, n: usize) -> ([usize; 4], [R; 4]) {
-    let (mut i, w) = through(x, n);
-    if i[1] == 0 {
-        i[0] = 1;
+    let (cell, weights) = through(x, n);
+    let mut nodes = neighbours(cell as usize, n);
+    if cell == 0 {
+        nodes[0] = 1;
     }
-    continued(i, w, n)
+    (nodes, continued(cell, weights, n))
 }
 
-/// Four neighbours and their weights; the first is not there before the first cell.
-#[inline]
-fn through<R: Real>(x: R, n: usize) -> ([usize; 4], [R; 4]) {
-    let cell = (x.primal().floor().to_f64().max(0.0) as usize).min(n - 2);
-    let t = x - R::c(cell as f64);
+/// The nodes around a cell. Where there is none, the nearest.
+#[inline(always)]
+fn neighbours(cell: usize, n: usize) -> [usize; 4] {
+    [
+        cell.saturating_sub(1),
+        cell,
+        cell + 1,
+        (cell + 2).min(n - 1),
+    ]
+}
+
+/// The cell of `x`, and the weights of four neighbours.
+#[inline(always)]
+fn through<R: Real>(x: R, n: usize) -> (u32, [R; 4]) {
+    let last = R::Primal::of((n - 2) as f64);
+    let cell = x.primal().floor().max(R::Primal::zero()).min(last);
+    let t = x - Const(cell);
     let (t2, s) = (t.square(), R::one() - t);
     let s2 = s.square();
     // Hermite basis with slopes from central differences.
     let h0 = s2 * (t * R::c(2.0) + R::c(1.0));
     let h1 = t2 * (s * R::c(2.0) + R::c(1.0));
     let (d0, d1) = (s2 * t * R::c(0.5), -(t2 * s) * R::c(0.5));
-    let w = [-d0, h0 - d1, h1 + d0, d1];
-    let i = [
-        cell.saturating_sub(1),
-        cell,
-        cell + 1,
-        (cell + 2).min(n - 1),
-    ];
-    (i, w)
+    // Of numbers in this range the fastest conversion is right.
+    let cell = cell.to_f64() as i32 as u32;
+    (cell, [-d0, h0 - d1, h1 + d0, d1])
+}
+
+/// Linearly before the first node.
+#[inline(always)]
+fn before_first<R: Real>(cell: u32, w: [R; 4]) -> [R; 4] {
+    let first = cell == 0;
+    [
+        R::select(first, R::zero(), w[0]),
+        R::select(first, w[1] + w[0] * R::c(2.0), w[1]),
+        R::select(first, w[2] - w[0], w[2]),
+        w[3],
+    ]
 }
 
 /// Linearly beyond the last one.
-#[inline]
-fn continued<R: Real>(i: [usize; 4], mut w: [R; 4], n: usize) -> ([usize; 4], [R; 4]) {
-    if i[1] == n - 2 {
-        w = [w[0], w[1] - w[3], w[2] + w[3] * R::c(2.0), R::zero()];
-    }
-    (i, w)
+#[inline(always)]
+fn continued<R: Real>(cell: u32, w: [R; 4], n: usize) -> [R; 4] {
+    let last = cell as usize == n - 2;
+    [
+        w[0],
+        R::select(last, w[1] - w[3], w[1]),
+        R::select(last, w[2] + w[3] * R::c(2.0), w[2]),
+        R::select(last, R::zero(), w[3]),
+    ]
 }
 
 /// Normals of one roughness with quadrature weights: a midpoint rule in the random numbers, over
@@ -360,6 +429,46 @@ mod tests {
     use super::*;
 
     type D = Dual<f64, 1>;
+
+    /// What is kept of a coat is what passes it, bit by bit, at all cosines and beyond the ends of their range.
+    #[test]
+    fn what_is_kept_of_coats_is_what_passes() {
+        let coat = Coat::get(Ndf::Ggx, 1.5);
+        for (alpha, eta) in [(0.013, 1.5), (0.4, 1.5), (1.0, 1.5), (0.2, 1.7)] {
+            let passes = coat.passes(alpha, eta);
+            let curve = Curve::of(&passes);
+            assert_eq!(curve.inside, passes.inside());
+            for i in 0..=1000 {
+                let cos = (f64::from(i) / 1000.0).powi(2) * 1.0001;
+                let (cell, weights) = place(cos);
+                assert_eq!(weighed(curve.nodes(cell), weights), passes.transmit(cos));
+                let sum: f64 = weights.iter().sum();
+                assert!((sum - 1.0).abs() < 1e-14, "{cos}: {weights:?}");
+            }
+        }
+    }
+
+    /// A spline goes through its nodes, and is linear, with the ends, where these are.
+    #[test]
+    fn splines_pass_nodes_and_are_linear_where_these_are() {
+        let at = |values: [f64; 5], x: f64| {
+            let (nodes, weights) = spline(x, values.len());
+            let terms = nodes.into_iter().zip(weights);
+            terms.map(|(i, w)| values[i] * w).sum::<f64>()
+        };
+        let values = [0.3, -1.0, 2.0, 0.5, 0.7];
+        for (i, value) in values.into_iter().enumerate() {
+            assert!((at(values, i as f64) - value).abs() < 1e-14, "{i}");
+        }
+        for k in 0..=400 {
+            let x = f64::from(k) / 100.0;
+            let line = [0.0, 1.0, 2.0, 3.0, 4.0].map(|x| 0.3 - 0.7 * x);
+            assert!((at(line, x) - (0.3 - 0.7 * x)).abs() < 1e-14, "{x}");
+        }
+        assert_eq!(through(f64::NAN, 5).0, 0);
+        assert_eq!(through(-3.0, 5).0, 0);
+        assert_eq!(through(1e9f32, 5).0, 3);
+    }
 
     /// Smooth coats between nodes, and their slopes by central differences.
     #[test]

@@ -36,7 +36,7 @@ impl<L: Leaf> Bsdf for L {
         wi: Vec3<R>,
         mode: TransportMode,
     ) -> (Rgb<R>, R) {
-        self.lobe(&mut { *at }).eval_pdf(wo, wi, mode)
+        self.lobe(&mut &*at).eval_pdf(wo, wi, mode)
     }
 
     #[inline(always)]
@@ -47,7 +47,7 @@ impl<L: Leaf> Bsdf for L {
         wi: Vec3<R>,
         mode: TransportMode,
     ) -> Rgb<R> {
-        self.lobe(&mut { *at }).eval(wo, wi, mode)
+        self.lobe(&mut &*at).eval(wo, wi, mode)
     }
 
     #[inline(always)]
@@ -58,7 +58,7 @@ impl<L: Leaf> Bsdf for L {
         u: [R::Primal; 3],
         mode: TransportMode,
     ) -> Option<BsdfSample<R>> {
-        self.lobe(&mut { *at }).sample(wo, u, mode)
+        self.lobe(&mut &*at).sample(wo, u, mode)
     }
 
     #[inline(always)]
@@ -71,7 +71,7 @@ impl<L: Leaf> Bsdf for L {
         _route: u8,
         mode: TransportMode,
     ) -> Rgb<R> {
-        self.lobe(&mut { *at }).eval_delta(wo, kind, mode)
+        self.lobe(&mut &*at).eval_delta(wo, kind, mode)
     }
 
     #[inline]
@@ -83,7 +83,7 @@ impl<L: Leaf> Bsdf for L {
         component: Component,
         mode: TransportMode,
     ) -> R {
-        self.lobe(&mut { *at }).choice_pdf(wo, wi, component, mode)
+        self.lobe(&mut &*at).choice_pdf(wo, wi, component, mode)
     }
 
     #[inline(always)]
@@ -94,7 +94,7 @@ impl<L: Leaf> Bsdf for L {
         u: [R::Primal; 3],
         mode: TransportMode,
     ) -> Option<Scattered<R, R>> {
-        self.lobe(&mut { *at }).sample_eval(wo, u, mode)
+        self.lobe(&mut &*at).sample_eval(wo, u, mode)
     }
 
     #[inline(always)]
@@ -105,7 +105,7 @@ impl<L: Leaf> Bsdf for L {
         u: [R::Primal; 3],
         mode: TransportMode,
     ) -> Option<(Vec3<R>, Rgb<R>)> {
-        self.lobe(&mut { *at }).sample_weight(wo, u, mode)
+        self.lobe(&mut &*at).sample_weight(wo, u, mode)
     }
 
     #[inline(always)]
@@ -142,7 +142,7 @@ impl<L: Leaf> Bsdf for L {
         uses: &[Use<R::Primal>],
         mode: TransportMode,
     ) -> Rgb<R> {
-        let lobe: L::Lobe<R> = self.lobe(&mut { *at });
+        let lobe: L::Lobe<R> = self.lobe(&mut &*at);
         uses.iter().fold(Rgb::black(), |sum, u| {
             sum + still::<L, R>(&lobe, wo, u, mode) * Rgb::lift(u.d)
         })
@@ -176,7 +176,7 @@ impl<L: Leaf> Bsdf for L {
         if !L::DIFFERENTIAL {
             return [None; 2];
         }
-        let lobe: L::Lobe<P> = self.lobe(&mut { *at });
+        let lobe: L::Lobe<P> = self.lobe(&mut &*at);
         lobe.sample_differential(wo, u, mode)
     }
 
@@ -185,7 +185,7 @@ impl<L: Leaf> Bsdf for L {
         if !L::DIFFERENTIAL {
             return P::zero();
         }
-        let lobe: L::Lobe<P> = self.lobe(&mut { *at });
+        let lobe: L::Lobe<P> = self.lobe(&mut &*at);
         lobe.pdf_differential(wo, wi)
     }
 
@@ -200,7 +200,7 @@ impl<L: Leaf> Bsdf for L {
         if !L::DIFFERENTIAL {
             return Rgb::black();
         }
-        self.lobe(&mut { *at }).eval_normals(wo, wi, mode)
+        self.lobe(&mut &*at).eval_normals(wo, wi, mode)
     }
 
     #[inline]

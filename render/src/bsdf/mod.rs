@@ -98,7 +98,7 @@ mod blinn_phong;
 mod bump_map;
 pub mod chart;
 mod charted;
-mod coat;
+pub(crate) mod coat;
 mod conductor;
 mod dielectric;
 pub mod differential;
@@ -155,6 +155,7 @@ pub(crate) use shading::OnChart;
 pub use shading::{Reader, Shading, TextureRef};
 pub use thin_dielectric::{ThinDielectric, ThinDielectricLobe};
 pub use tilted::{Corrections, Tilt, Tilted, shadowing};
+pub(crate) use tilted::{tilted, tilts};
 pub use twosided::TwoSided;
 
 use std::sync::Arc;

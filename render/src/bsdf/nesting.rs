@@ -192,7 +192,7 @@ pub fn lets_light_through(material: &Material) -> bool {
 pub fn opacity<P: Float>(material: &Material, at: &Shading<P>, wo: Vec3<P>) -> P {
     match material {
         Material::Null(_) => P::zero(),
-        Material::ThinDielectric(m) => m.lobe(&mut { *at }).opacity(wo),
+        Material::ThinDielectric(m) => m.lobe(&mut &*at).opacity(wo),
         Material::Mask(m) => m.opacity(at) * opacity(m.nested(), at, wo),
         Material::Blend(m) => {
             let shares = m.shares(at);

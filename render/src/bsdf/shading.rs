@@ -90,7 +90,7 @@ impl<'a, P: Float> Shading<'a, P> {
     }
 }
 
-impl<R: Real> Reader<R> for Shading<'_, R> {
+impl<R: Real> Reader<R> for &Shading<'_, R> {
     #[inline(always)]
     fn rgb(&mut self, t: &RgbTexture) -> Rgb<R> {
         t.rgb(&self.theta, self.uv)

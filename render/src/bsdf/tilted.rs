@@ -110,15 +110,21 @@ impl<N: Tilt> Tilted<N> {
         }
     }
 
-    /// The frame that light is scattered in, for a viewer along `wo`.
+    /// A vector along the normal that a viewer along `wo` sees; zero for the shading normal.
     #[inline]
-    pub(crate) fn frame<R: Real>(
+    pub(crate) fn vector<R: Real>(
         &self,
         at: &Shading<R>,
         wo: Vec3<R>,
         mode: TransportMode,
-    ) -> Frame<R> {
-        tilted(self.seen(self.tilt.vector(at), wo, mode))
+    ) -> Vec3<R> {
+        self.seen(self.tilt.vector(at), wo, mode)
+    }
+
+    /// The frame that light is scattered in, for a viewer along `wo`.
+    #[inline]
+    fn frame<R: Real>(&self, at: &Shading<R>, wo: Vec3<R>, mode: TransportMode) -> Frame<R> {
+        tilted(self.vector(at, wo, mode))
     }
 
     /// What the value of the nested material is multiplied with, for directions `wo`, `wi` in the shading frame
@@ -166,12 +172,18 @@ pub fn shadowing<R: Real>(n: Vec3<R>, w: Vec3<R>) -> R {
 /// The frame whose normal is along `v`, in the coordinates of the shading frame. The zero vector
 /// tilts nothing.
 #[inline]
-fn tilted<R: Real>(v: Vec3<R>) -> Frame<R> {
+pub(crate) fn tilted<R: Real>(v: Vec3<R>) -> Frame<R> {
     let x = Vec3::new(R::one(), R::zero(), R::zero());
     let z = Vec3::new(R::zero(), R::zero(), R::one());
-    let degenerate = v.primal().length_squared() <= R::Primal::of(1e-12);
-    let n = if degenerate { z } else { v.normalize() };
+    let n = if tilts(v) { v.normalize() } else { z };
     Frame::from_normal_and_tangent(n, x)
+}
+
+/// Whether a vector is one that tilts.
+#[inline(always)]
+pub(crate) fn tilts<R: Real>(v: Vec3<R>) -> bool {
+    let too_short = v.primal().length_squared() <= R::Primal::of(1e-12);
+    !too_short
 }
 
 /// A tilted normal makes scattering non-symmetric: the factor that particles need, `|o_z| |wi_z| /

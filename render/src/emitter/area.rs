@@ -63,6 +63,28 @@ impl Area {
         })
     }
 
+    /// [`Area::facing`] for a diffuse light, with density zero where nothing is seen: without branches, for loops over many.
+    #[inline(always)]
+    pub(crate) fn facing_in_line<P: Float>(
+        surface: u32,
+        (s, is_seen): (DirectionSample<P>, bool),
+    ) -> EmitterSample<P> {
+        let lit = is_seen & (-s.n.dot(s.d) > P::zero());
+        EmitterSample {
+            // At the light itself there is no direction.
+            d: Vec3::select(lit, s.d, Vec3::zero()),
+            distance: s.distance,
+            normals: [s.n, s.n_geo],
+            surface,
+            prim: s.prim,
+            pdf: P::select(lit, s.pdf, P::zero()),
+            emission: Emission {
+                uv: s.uv,
+                falloff: P::one(),
+            },
+        }
+    }
+
     /// Of the cosine in the density of directions, plus one.
     #[inline(always)]
     fn power<P: Float>(&self) -> P {

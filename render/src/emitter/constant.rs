@@ -19,6 +19,14 @@ pub struct Constant {
     pub radiance: RgbTexture,
 }
 
+impl Constant {
+    /// Density of sampled directions, per solid angle.
+    #[inline(always)]
+    pub(crate) fn density<R: Real>() -> R {
+        R::of(0.25 / PI)
+    }
+}
+
 impl Emitter for Constant {
     #[inline]
     fn radiance(&self) -> &RgbTexture {
@@ -35,7 +43,7 @@ impl Emitter for Constant {
         Some(EmitterSample::without_surface(
             warp::square_to_sphere(u),
             P::of(f64::INFINITY),
-            P::of(0.25 / PI),
+            Self::density(),
             Emission::whole(),
         ))
     }
@@ -48,7 +56,7 @@ impl Emitter for Constant {
         _: Vec3<R>,
         si: Option<&SurfaceInteraction<R>>,
     ) -> R {
-        R::of(if si.is_none() { 0.25 / PI } else { 0.0 })
+        R::select(si.is_none(), Self::density(), R::zero())
     }
 
     fn is_infinite(&self) -> bool {

@@ -43,7 +43,9 @@ pub use directional_area::DirectionalArea;
 pub use envmap::{Envmap, Moved, MovingDraw, Shift};
 pub(crate) use envmap::{Local as LocalSums, MapPoint};
 pub use point::Point;
+pub(crate) use point::towards_in_line;
 pub use projector::{Projector, Slide};
+pub(crate) use spot::Cone;
 pub use spot::Spot;
 pub use vmf::Vmf;
 

@@ -50,6 +50,20 @@ pub(super) fn towards<R: Real>(position: [f32; 3], from: Vec3<R>) -> Option<(Vec
     usable.then(|| (to.normalize(), distance, inverse_square))
 }
 
+/// [`towards`] without branches, for loops over many, and whether that is right.
+#[inline(always)]
+pub(crate) fn towards_in_line<P: Float>(
+    position: [f32; 3],
+    from: Vec3<P>,
+) -> ((Vec3<P>, P, P), bool) {
+    let to = lift3::<P>(position) - from;
+    let (d, long) = to.unit();
+    let distance = to.length_squared().sqrt();
+    let inverse_square = distance.recip() * distance.recip();
+    let usable = (inverse_square > P::zero()) & (inverse_square <= P::MAX);
+    ((d, distance, inverse_square), long & usable)
+}
+
 /// [`Emitter::connect`] for a light at `position` with a directional `profile`.
 #[inline]
 pub(super) fn moving<R: Real>(

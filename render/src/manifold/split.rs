@@ -53,11 +53,13 @@ impl Run {
     }
 
     /// As a number, for arrays of them.
+    #[inline(always)]
     pub fn bits(self) -> u32 {
         self.0
     }
 
     /// The inverse of [`Run::bits`].
+    #[inline(always)]
     pub fn from_bits(bits: u32) -> Self {
         Self(bits)
     }

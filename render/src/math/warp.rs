@@ -98,7 +98,7 @@ pub fn cosine_hemisphere_pdf<R: Real>(cos_theta: R) -> R {
 }
 
 /// Uniform direction on the unit sphere; density 1/(4 pi) per solid angle.
-#[inline]
+#[inline(always)]
 pub fn square_to_sphere<P: Float>(u: [P; 2]) -> Vec3<P> {
     let z = P::one() - P::of(2.0) * u[0];
     let r = (P::of(4.0) * u[0] * (P::one() - u[0]))

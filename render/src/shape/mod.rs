@@ -364,13 +364,21 @@ impl<P: Float> ShapeSample<P> {
     /// or at zero distance.
     #[inline(always)]
     pub fn seen_from(&self, from: Vec3<P>, n_geo: Vec3<P>) -> Option<DirectionSample<P>> {
+        let (seen, is_seen) = self.seen_in_line(from, n_geo);
+        is_seen.then_some(seen)
+    }
+
+    /// [`ShapeSample::seen_from`], and whether anything is seen: without branches, for loops over many.
+    #[inline(always)]
+    pub(crate) fn seen_in_line(&self, from: Vec3<P>, n_geo: Vec3<P>) -> (DirectionSample<P>, bool) {
         let v = self.p - from;
         let d2 = v.length_squared();
         let distance = d2.sqrt();
         let d = v * distance.recip();
         let pdf = self.pdf * d2 / n_geo.dot(d).abs();
         // False for zero over zero as well.
-        (pdf > P::zero() && pdf <= P::MAX).then_some(DirectionSample {
+        let is_seen = (pdf > P::zero()) & (pdf <= P::MAX);
+        let seen = DirectionSample {
             d,
             distance,
             n: self.n,
@@ -378,7 +386,8 @@ impl<P: Float> ShapeSample<P> {
             uv: self.uv,
             pdf,
             prim: self.prim,
-        })
+        };
+        (seen, is_seen)
     }
 }
 

@@ -31,7 +31,7 @@ impl UvTransform {
     };
 
     /// Maps `uv`.
-    #[inline]
+    #[inline(always)]
     pub fn apply<R: Real>(&self, uv: Vec2<R>) -> Vec2<R> {
         let k = |x: f32| ad_core::Const(R::Primal::from_f32(x));
         let row = |[a, b, c]: [f32; 3]| uv.x * k(a) + uv.y * k(b) + k(c);
@@ -134,11 +134,14 @@ impl Bitmap {
 
     /// The texels of an interpolated lookup, and how their weights change with `uv`, along u and v: constant across a
     /// cell each, and linear in the other.
+    #[inline(always)]
     pub(super) fn slopes<R: Real>(&self, uv: Vec2<R>) -> Footprint<[R; 2]> {
-        let [[a, b, _], [c, d, _]] = self.to_uv.rows.map(|row| row.map(|x| R::of(f64::from(x))));
+        let single = |x: f32| R::lift(R::Primal::from_f32(x));
+        let [[a, b, _], [c, d, _]] = self.to_uv.rows;
+        let [[a, b], [c, d]] = [[single(a), single(b)], [single(c), single(d)]];
         let at = self.to_uv.apply(uv);
         let (texel, [fx, fy]) = self.corners(at);
-        let [width, height] = [self.width, self.height].map(|n| R::of(f64::from(n)));
+        let (width, height) = (R::of(f64::from(self.width)), R::of(f64::from(self.height)));
         let (gx, gy) = (R::one() - fx, R::one() - fy);
         let along = |x: R, y: R| {
             let (x, y) = (x * width, y * height);

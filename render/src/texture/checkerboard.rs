@@ -17,10 +17,10 @@ pub struct Checkerboard<T = ParamRef> {
 
 impl<T> Checkerboard<T> {
     /// What holds at `uv`.
-    #[inline]
+    #[inline(always)]
     pub fn select<P: Float>(&self, uv: Vec2<P>) -> &T {
         let uv = self.to_uv.apply(uv);
-        let half = |x: P| x.rem_euclid(P::c(1.0)) > P::of(0.5);
+        let half = |x: P| x - x.floor() > P::of(0.5);
         &self.colors[usize::from(half(uv.x) != half(uv.y))]
     }
 }

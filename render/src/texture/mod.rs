@@ -359,10 +359,11 @@ fn gather<R: Real, W: Copy, const C: usize>(
     weighted: impl Fn(R, W) -> R,
 ) -> [R; C] {
     let mut value = [R::zero(); C];
-    for (texel, weight) in f.texel.into_iter().zip(f.weight) {
-        let texel = decode(theta.texel(f.param, texel as usize));
+    // By a plain loop: iterators over two arrays become calls.
+    for k in 0..4 {
+        let texel = decode(theta.texel(f.param, f.texel[k] as usize));
         for c in 0..C {
-            value[c] += weighted(texel[c], weight);
+            value[c] += weighted(texel[c], f.weight[k]);
         }
     }
     value

@@ -129,14 +129,14 @@ impl<P: Float> Field for Lanes<P> {
     }
     #[inline(always)]
     fn relocate(&mut self, to: usize, from: usize) {
-        for lane in &mut self.0 {
-            lane.relocate(to, from);
+        for axis in 0..3 {
+            self.0[axis].relocate(to, from);
         }
     }
     #[inline(always)]
     fn copy(&mut self, to: usize, other: &Self, from: usize) {
-        for (lane, other) in self.0.iter_mut().zip(&other.0) {
-            lane.copy(to, other, from);
+        for axis in 0..3 {
+            self.0[axis].copy(to, &other.0[axis], from);
         }
     }
 }

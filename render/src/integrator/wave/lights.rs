@@ -4,49 +4,72 @@ use ad_core::{Float, Vec2, Vec3};
 
 use super::lanes::{Field, Lane, Lanes, WAVE_SIZE, lanes, whole};
 use super::lookups::{Lookups, image};
+use super::state::Lights;
 use crate::emitter::{
-    AnyEmitter, Area, Emission, Emitter, EmitterSample, Envmap, LocalSums, MapPoint,
+    AnyEmitter, Area, Cone, Constant, Directional, Emission, Emitter, EmitterSample, Envmap,
+    LocalSums, MapPoint, towards_in_line,
 };
 use crate::estimator::Strategy;
 use crate::integrator::vertex::light::{Met, counts_hits, has_rival, may_have_rival, met_weight};
 use crate::math::{NOWHERE, Rgb};
 use crate::params::Theta;
 use crate::scene::Scene;
-use crate::shape::{AnyShape, Rectangle, Shape};
+use crate::shape::{AnyShape, Rectangle, Shape, sample_cone};
 
 /// Emitters beyond so many are sampled one by one: few paths of a wave meet at one of them.
 pub const MOST_TOGETHER: usize = 16;
 
-/// What paths that choose an emitter do together.
+/// Up to so many emitters, all paths sample each, and take the sample of the one that they have chosen: less work than to
+/// gather those that have.
+pub const FEW: usize = 8;
+
+/// What paths that choose an emitter do together. All numbers are copies, which no store of a loop can change.
 #[derive(Clone, Copy, Debug)]
 pub enum Together<'a> {
     /// A rectangle that sends the same everywhere, and the surface it lies on.
     Rectangle(Rectangle, u32),
+    /// A ball that does: centre, radius, and surface.
+    Ball([f32; 3], f32, u32),
+    /// A point light, where it is.
+    Point([f32; 3]),
+    /// A spot: where it is, and where it shines.
+    Spot([f32; 3], Cone),
+    /// Parallel light.
+    Directional(&'a Directional),
+    /// An even environment.
+    Constant(&'a Constant),
     /// An environment map.
     Envmap(&'a Envmap),
 }
 
 /// What paths that choose this emitter may do together.
 pub fn together<'a>(scene: &'a Scene, emitter: &'a AnyEmitter) -> Option<Together<'a>> {
-    match emitter {
-        AnyEmitter::Area(area) if area.exponent == 0.0 => match scene.shapes()[area.shape as usize]
-        {
-            AnyShape::Rectangle(rectangle) => {
-                let surface = scene.lights().surface(area.shape, 0);
-                Some(Together::Rectangle(rectangle, surface))
+    Some(match emitter {
+        AnyEmitter::Area(area) if area.exponent == 0.0 => {
+            let surface = || scene.lights().surface(area.shape, 0);
+            match &scene.shapes()[area.shape as usize] {
+                AnyShape::Rectangle(rectangle) => Together::Rectangle(*rectangle, surface()),
+                AnyShape::Sphere(sphere) if sphere.is_plain() => {
+                    Together::Ball(sphere.center(), sphere.radius(), surface())
+                }
+                _ => return None,
             }
-            _ => None,
-        },
-        AnyEmitter::Envmap(e) if e.is_known() => Some(Together::Envmap(e)),
-        _ => None,
-    }
+        }
+        AnyEmitter::Point(e) => Together::Point(e.position()),
+        AnyEmitter::Spot(e) => {
+            let (position, cone) = e.cone();
+            Together::Spot(position, cone)
+        }
+        AnyEmitter::Directional(e) => Together::Directional(e),
+        AnyEmitter::Constant(e) => Together::Constant(e),
+        AnyEmitter::Envmap(e) if e.is_known() => Together::Envmap(e),
+        _ => return None,
+    })
 }
 
 lanes! {
     /// Samples of one emitter.
     Samples {
-        /// Reference point.
-        p: Lanes<P>,
         d: Lanes<P>,
         distance: Lane<P>,
         /// Zero if there is no sample.
@@ -54,7 +77,29 @@ lanes! {
         falloff: Lane<P>,
         u: Lane<P>,
         v: Lane<P>,
+        /// Whether they are right; otherwise, the functions of the emitter have to be called.
+        right: Lane<u32>,
     }
+}
+
+/// No sample.
+#[inline(always)]
+fn nothing<P: Float>() -> EmitterSample<P> {
+    let emission = Emission {
+        uv: Vec2::zero(),
+        falloff: P::zero(),
+    };
+    EmitterSample::without_surface(Vec3::zero(), P::zero(), P::zero(), emission)
+}
+
+/// The sample of a light without size: direction, distance, and what arrives.
+#[inline(always)]
+fn from_point<P: Float>((d, distance, falloff): (Vec3<P>, P, P)) -> EmitterSample<P> {
+    let emission = Emission {
+        uv: Vec2::zero(),
+        falloff,
+    };
+    EmitterSample::without_surface(d, distance, P::one(), emission)
 }
 
 /// Samples of one emitter for several paths.
@@ -93,48 +138,64 @@ impl<P: Float> Group<P> {
     }
 
     /// Samples an emitter for `paths`, which stand at `p`, with two random numbers of each, and calls `put` with each
-    /// path and its sample.
+    /// path and its sample, where that is right.
     #[inline(always)]
     pub fn sample(
         &mut self,
+        scene: &Scene,
         emitter: Together,
         p: &Lanes<P>,
         [a, b]: [&Lane<P>; 2],
         mut put: impl FnMut(usize, Option<EmitterSample<P>>),
     ) {
         let n = self.paths.len();
+        let mut at = Lanes::zero();
         for (k, &i) in self.paths.iter().enumerate() {
             let k = k % WAVE_SIZE;
-            self.samples.p.put_vec(k, p.vec(i));
+            at.put_vec(k, p.vec(i));
             (self.numbers[0][k], self.numbers[1][k]) = (a[i], b[i]);
         }
+        let [a, b] = &self.numbers;
         let surface = match emitter {
-            Together::Rectangle(rectangle, surface) => {
-                self.samples.of_rectangle(rectangle, n, &self.numbers);
-                surface
-            }
             Together::Envmap(e) => {
-                self.draws.find(e, n, &self.numbers);
-                self.samples.of_envmap(e, n, &self.draws, &self.numbers[0]);
+                self.draws.find(e, n, [a, b]);
+                self.samples.of_envmap(e, n, &self.draws, a);
                 NOWHERE
             }
+            _ => self.samples.find(scene, emitter, n, &at, [a, b]),
         };
         let s = &*self.samples;
         for (k, &i) in self.paths.iter().enumerate() {
             let k = k % WAVE_SIZE;
+            if s.right[k] != 0 {
+                let sample = EmitterSample {
+                    surface,
+                    ..s.sample(k)
+                };
+                put(i, (s.pdf[k] > P::zero()).then_some(sample));
+            }
+        }
+    }
+
+    /// The same for the first `n` of all paths: those that have chosen this emitter take what is right.
+    #[inline(always)]
+    pub fn sample_all(
+        &mut self,
+        scene: &Scene,
+        (index, emitter): (u32, Together),
+        n: usize,
+        p: &Lanes<P>,
+        numbers: [&Lane<P>; 2],
+        lights: &mut Lights<P>,
+    ) {
+        let surface = self.samples.find(scene, emitter, n, p, numbers);
+        let s = &*self.samples;
+        for i in 0..whole(n) {
             let sample = EmitterSample {
-                d: s.d.vec(k),
-                distance: s.distance[k],
-                normals: [Vec3::zero(); 2],
                 surface,
-                prim: 0,
-                pdf: s.pdf[k],
-                emission: Emission {
-                    uv: Vec2::new(s.u[k], s.v[k]),
-                    falloff: s.falloff[k],
-                },
+                ..s.sample(i)
             };
-            put(i, (s.pdf[k] > P::zero()).then_some(sample));
+            lights.take(i, index, s.right[i] != 0, &sample);
         }
     }
 }
@@ -147,27 +208,119 @@ impl<P: Float> Samples<P> {
         self.pdf[k] = sample.pdf;
         self.falloff[k] = sample.emission.falloff;
         (self.u[k], self.v[k]) = (sample.emission.uv.x, sample.emission.uv.y);
+        self.right[k] = 1;
+    }
+
+    /// What [`Samples::put`] has put there.
+    #[inline(always)]
+    fn sample(&self, k: usize) -> EmitterSample<P> {
+        let emission = Emission {
+            uv: Vec2::new(self.u[k], self.v[k]),
+            falloff: self.falloff[k],
+        };
+        EmitterSample::without_surface(self.d.vec(k), self.distance[k], self.pdf[k], emission)
+    }
+
+    /// Samples of an emitter that is no map, and the surface that they lie on.
+    #[inline(always)]
+    fn find(
+        &mut self,
+        scene: &Scene,
+        emitter: Together,
+        n: usize,
+        p: &Lanes<P>,
+        numbers: [&Lane<P>; 2],
+    ) -> u32 {
+        match emitter {
+            Together::Rectangle(rectangle, surface) => {
+                self.of_rectangle(rectangle, n, p, numbers);
+                return surface;
+            }
+            Together::Ball(center, radius, surface) => {
+                self.of_ball(center, radius, n, p, numbers);
+                return surface;
+            }
+            Together::Point(position) => self.of_point(position, n, p),
+            Together::Spot(position, cone) => self.of_spot(position, cone, n, p),
+            Together::Directional(e) => {
+                let from = [P::zero(); 2];
+                let sample = e.sample(scene.lights(), Vec3::zero(), from);
+                self.of_all(&sample.unwrap_or(nothing()), n);
+            }
+            Together::Constant(e) => self.of_sky(e, n, scene, numbers),
+            Together::Envmap(_) => self.right = Lane::zero(),
+        }
+        NOWHERE
     }
 
     #[inline(never)]
-    fn of_rectangle(&mut self, rectangle: Rectangle, n: usize, [a, b]: &[Lane<P>; 2]) {
-        let (zero, none) = (P::zero(), Vec3::zero());
+    fn of_rectangle(
+        &mut self,
+        rectangle: Rectangle,
+        n: usize,
+        p: &Lanes<P>,
+        [a, b]: [&Lane<P>; 2],
+    ) {
+        let still = Theta::still();
         for k in 0..whole(n) {
-            let seen = rectangle.sample(self.p.vec(k), [a[k], b[k]]);
+            let s = rectangle.sample_area(&still, [a[k], b[k]]);
+            let seen = s.seen_in_line(p.vec(k), s.n);
+            self.put(k, &Area::facing_in_line(NOWHERE, seen));
+        }
+    }
+
+    #[inline(never)]
+    fn of_ball(
+        &mut self,
+        center: [f32; 3],
+        radius: f32,
+        n: usize,
+        p: &Lanes<P>,
+        [a, b]: [&Lane<P>; 2],
+    ) {
+        for k in 0..whole(n) {
+            let seen = sample_cone(center, radius, p.vec(k), [a[k], b[k]]);
             let sample = seen.and_then(|s| Area::facing(0.0, NOWHERE, s));
-            let nothing = EmitterSample {
-                d: none,
-                distance: zero,
-                normals: [none; 2],
-                surface: NOWHERE,
-                prim: 0,
-                pdf: zero,
-                emission: Emission {
-                    uv: Vec2::zero(),
-                    falloff: zero,
-                },
-            };
-            self.put(k, &sample.unwrap_or(nothing));
+            self.put(k, &sample.unwrap_or(nothing()));
+            // From within, it is seen otherwise.
+            self.right[k] = u32::from(self.pdf[k] > P::zero());
+        }
+    }
+
+    #[inline(never)]
+    fn of_point(&mut self, position: [f32; 3], n: usize, p: &Lanes<P>) {
+        for k in 0..whole(n) {
+            let (seen, right) = towards_in_line(position, p.vec(k));
+            self.put(k, &from_point(seen));
+            self.right[k] = u32::from(right);
+        }
+    }
+
+    #[inline(never)]
+    fn of_spot(&mut self, position: [f32; 3], cone: Cone, n: usize, p: &Lanes<P>) {
+        for k in 0..whole(n) {
+            let (seen, right) = cone.sample_in_line(position, p.vec(k));
+            self.put(k, &from_point(seen));
+            self.pdf[k] = P::select(seen.2 > P::zero(), P::one(), P::zero());
+            self.right[k] = u32::from(right);
+        }
+    }
+
+    /// The same for all.
+    #[inline(never)]
+    fn of_all(&mut self, sample: &EmitterSample<P>, n: usize) {
+        let sample = *sample;
+        for k in 0..whole(n) {
+            self.put(k, &sample);
+        }
+    }
+
+    #[inline(never)]
+    fn of_sky(&mut self, e: &Constant, n: usize, scene: &Scene, [a, b]: [&Lane<P>; 2]) {
+        let lights = scene.lights();
+        for k in 0..whole(n) {
+            let sample = e.sample(lights, Vec3::zero(), [a[k], b[k]]);
+            self.put(k, &sample.unwrap_or(nothing()));
         }
     }
 
@@ -211,7 +364,7 @@ impl Draws {
 
     /// Bands, latitudes and cells: looked up one by one, between what is done in vectors.
     #[inline(never)]
-    fn find<P: Float>(&mut self, e: &Envmap, n: usize, [a, b]: &[Lane<P>; 2]) {
+    fn find<P: Float>(&mut self, e: &Envmap, n: usize, [a, b]: [&Lane<P>; 2]) {
         for k in 0..n.min(WAVE_SIZE) {
             let (band, around, cover) = e.draw_band(b[k].to_f64());
             self.band[k] = band as u32;
@@ -318,6 +471,28 @@ impl<P: Float> Leaving<P> {
             };
             put(i, Met { emission, weight }, le);
         }
+    }
+}
+
+/// What [`Leaving::meet`] finds of `paths` that leave towards an even environment, where their directions had these densities.
+#[inline(always)]
+pub fn meet_evenly<P: Float, S: Strategy>(
+    e: &Constant,
+    theta: &Theta<P>,
+    paths: &[usize],
+    pdf: &Lane<P>,
+    (depth, share): (u32, P),
+    mut put: impl FnMut(usize, Met<P>, Rgb<P>),
+) {
+    let emission = Emission::whole();
+    let le = e.eval_in_line(theta, &emission);
+    for &i in paths {
+        if !counts_hits::<S, P>(pdf[i]) {
+            continue;
+        }
+        let weight = met_weight::<S, P>(pdf[i], Constant::density(), share);
+        let weight = P::select(has_rival::<S, P>(depth, pdf[i]), weight, P::one());
+        put(i, Met { emission, weight }, le);
     }
 }
 

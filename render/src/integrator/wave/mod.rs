@@ -31,7 +31,7 @@ use derivatives::albedo;
 use kinds::{Kinds, has_two_sides, seen_from, side};
 pub(super) use lanes::WAVE_SIZE;
 use lanes::{Field, Lane, Lanes, whole};
-use lights::{Group, Leaving, MOST_TOGETHER, together};
+use lights::{FEW, Group, Leaving, MOST_TOGETHER, Together, meet_evenly, together};
 use lookups::{Lookups, image};
 use numbers::{bits, draw_units, sobol};
 pub(super) use record::Record;
@@ -60,8 +60,8 @@ use crate::guide::{Directions, Guide};
 use crate::manifold::Split;
 use crate::math::{NOWHERE, Ray, Rgb, Segment};
 use crate::params::Theta;
-use crate::sampler::{Points, Purpose, Sampler, sobol_bits};
-use crate::scene::Scene;
+use crate::sampler::{Points, Purpose, Sampler, index_below, sobol_bits};
+use crate::scene::{LightChoice, Scene, Shares};
 use crate::shape::{AnyShape, Shape, SurfaceInteraction, sample_cone};
 use crate::texture::Texture;
 
@@ -586,13 +586,20 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         };
         for &emitter in scene.infinite_emitters() {
             let share = settings.lights.share(scene, emitter);
-            if let AnyEmitter::Envmap(e) = &scene.emitters()[emitter as usize]
-                && e.is_known()
-            {
-                let put = |i, light, le| found(i, emitter, light, le);
-                let (of, light) = ((&d, &pdf), (depth, share));
-                (self.leaving).meet::<S>(e, theta, &mut self.lookups, of, light, put);
-                continue;
+            let light = (depth, share);
+            let put = |i, light, le| found(i, emitter, light, le);
+            match &scene.emitters()[emitter as usize] {
+                e if e.is_delta() => continue,
+                AnyEmitter::Envmap(e) if e.is_known() => {
+                    let of = (&d, &pdf);
+                    (self.leaving).meet::<S>(e, theta, &mut self.lookups, of, light, put);
+                    continue;
+                }
+                AnyEmitter::Constant(e) => {
+                    meet_evenly::<P, S>(e, theta, &self.leaving.paths, &pdf, light, put);
+                    continue;
+                }
+                _ => {}
             }
             for &i in &self.leaving.paths {
                 // Environments are the same from everywhere.
@@ -689,7 +696,92 @@ impl<P: Float, X: Sampler> Wave<P, X> {
 
     /// `counts_hits`: whether lights that are hit count, too.
     #[inline(never)]
-    fn sample_lights(
+    fn sample_lights(&mut self, context: &Context<P>, counts_hits: bool) {
+        let &Context {
+            scene, settings, ..
+        } = context;
+        let emitters = scene.emitters();
+        if let [AnyEmitter::Area(area)] = emitters
+            && let AnyShape::Rectangle(rectangle) = &scene.shapes()[area.shape as usize]
+            && area.exponent == 0.0
+        {
+            let (at, lights) = (&self.at, &mut self.lights);
+            let [a, b, ..] = &self.numbers;
+            // A copy, which no store of the loop can change.
+            let rectangle = *rectangle;
+            let still = Theta::still();
+            let share = settings.lights.share(scene, 0);
+            let surface = scene.lights().surface(area.shape, 0);
+            for i in 0..whole(self.n) {
+                let s = rectangle.sample_area(&still, [a[i], b[i]]);
+                let seen = s.seen_in_line(at.p.vec(i), s.n);
+                let sample = Area::facing_in_line(surface, seen);
+                lights.emitter[i] = 0;
+                lights.kept[i] = P::one();
+                lights.share[i] = share;
+                lights.take(i, 0, true, &sample);
+            }
+            return;
+        }
+        self.choose_lights(context, counts_hits);
+        let (at, lights) = (&self.at, &mut self.lights);
+        let [a, b, ..] = &self.numbers;
+        lights.pdf = Lane::zero();
+        let few = emitters.len() <= FEW;
+        if !few {
+            sample_balls(scene, (&at.p, [a, b]), self.n, lights);
+        }
+        for (index, emitter) in (0..).zip(emitters).take(MOST_TOGETHER) {
+            let Some(together) = together(scene, emitter) else {
+                continue;
+            };
+            if few && !matches!(together, Together::Envmap(_)) {
+                let emitter = (index, together);
+                (self.group).sample_all(scene, emitter, self.n, &at.p, [a, b], lights);
+                continue;
+            }
+            // All others take less time one by one than to be gathered.
+            if !matches!(together, Together::Rectangle(..) | Together::Envmap(_)) {
+                continue;
+            }
+            let mut chosen = [0; WAVE_SIZE];
+            let mut n = 0;
+            for i in 0..self.n {
+                chosen[n % WAVE_SIZE] = i;
+                n += usize::from((lights.emitter[i] == index) & lights.wants(i));
+            }
+            if n == 0 {
+                continue;
+            }
+            self.group.paths.clear();
+            self.group.paths.extend_from_slice(&chosen[..n]);
+            (self.group).sample(scene, together, &at.p, [a, b], |i, sample| {
+                lights.put(i, (index, lights.kept[i]), lights.share[i], sample);
+                // There is nothing more to do.
+                lights.share[i] = P::zero();
+            });
+        }
+        // All others, and spheres from within.
+        let mut any = false;
+        for i in 0..whole(self.n) {
+            any |= lights.wants(i);
+        }
+        if !any {
+            return;
+        }
+        for i in 0..self.n {
+            if lights.wants(i) {
+                let (emitter, kept) = (lights.emitter[i], lights.kept[i]);
+                let (p, u) = (at.p.vec(i), [a[i], b[i]]);
+                let sample = emitters[emitter as usize].sample(scene.lights(), p, u);
+                lights.put(i, (emitter, kept), lights.share[i], sample);
+            }
+        }
+    }
+
+    /// The emitters that paths sample, and their shares: zero where none is sampled.
+    #[inline(never)]
+    fn choose_lights(
         &mut self,
         &Context {
             scene,
@@ -700,99 +792,51 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         counts_hits: bool,
     ) {
         let (at, lights) = (&self.at, &mut self.lights);
-        let [a, b, ..] = &self.numbers;
-        let emitters = scene.emitters();
-        if let [AnyEmitter::Area(area)] = emitters
-            && let AnyShape::Rectangle(rectangle) = &scene.shapes()[area.shape as usize]
-            && area.exponent == 0.0
-        {
-            // A copy, which no store of the loop can change.
-            let rectangle = *rectangle;
-            let share = settings.lights.share(scene, 0);
-            let surface = scene.lights().surface(area.shape, 0);
-            for i in 0..whole(self.n) {
-                let seen = rectangle.sample(at.p.vec(i), [a[i], b[i]]);
-                let sample = seen.and_then(|s| Area::facing(0.0, surface, s));
-                lights.put(i, (0, P::one()), share, sample);
+        let asks = |i: usize| (at.lit[i] != 0) & (at.delta[i] == 0);
+        if settings.lights == LightChoice::One {
+            lights.kept = [P::one(); WAVE_SIZE];
+            let choice = settings.lights;
+            match scene.shares() {
+                Shares::Even(n, _) => {
+                    for i in 0..WAVE_SIZE {
+                        lights.emitter[i] = index_below(self.choice[i], *n) as u32;
+                    }
+                    lights.share = [choice.share(scene, 0); WAVE_SIZE];
+                }
+                weighted => {
+                    for i in 0..self.n {
+                        lights.emitter[i] = weighted.choose(self.choice[i], 1).0 as u32;
+                        lights.share[i] = choice.share(scene, lights.emitter[i]);
+                    }
+                }
+            }
+            let last = self.n;
+            for i in 0..WAVE_SIZE {
+                let wanted = asks(i) & (i < last);
+                lights.share[i] = P::select(wanted, lights.share[i], P::zero());
             }
             return;
         }
-        // A radius of zero is no sphere.
-        let mut spheres = ([Lane::<f32>::zero(); 3], Lane::<f32>::zero());
-        let mut surfaces = Lane::<u32>::zero();
-        let mut shares = Lane::<P>::zero();
-        let mut any = false;
-        for i in 0..self.n {
-            if at.lit[i] == 0 || at.delta[i] != 0 {
-                continue;
-            }
-            let (p, u) = (at.p.vec(i), [a[i], b[i]]);
+        lights.share = Lane::zero();
+        let [a, b, ..] = &self.numbers;
+        for i in (0..self.n).filter(|&i| asks(i)) {
             let seen = || LitVertex {
                 material: &scene.materials()[at.material[i] as usize],
                 at: Shading::new(*theta, at.uv(i)),
                 frame: at.frame(i),
                 wo: self.wo.vec(i),
             };
+            let (bits, p) = (self.choice[i], at.p.vec(i));
             (lights.emitter[i], lights.kept[i]) = choose(
                 scene,
                 settings.lights,
                 counts_hits,
-                self.choice[i],
-                u,
+                bits,
+                [a[i], b[i]],
                 p,
                 seen,
             );
-            let emitter = lights.emitter[i];
-            shares[i] = settings.lights.share(scene, emitter);
-            if let AnyEmitter::Area(area) = &emitters[emitter as usize]
-                && let AnyShape::Sphere(sphere) = &scene.shapes()[area.shape as usize]
-                && area.exponent == 0.0
-                && sphere.is_plain()
-            {
-                let ([x, y, z], radius) = &mut spheres;
-                [x[i], y[i], z[i]] = sphere.center();
-                radius[i] = sphere.radius();
-                surfaces[i] = scene.lights().surface(area.shape, 0);
-                any = true;
-            }
-        }
-        let ([x, y, z], radius) = &spheres;
-        if any {
-            for i in 0..whole(self.n) {
-                let seen = sample_cone([x[i], y[i], z[i]], radius[i], at.p.vec(i), [a[i], b[i]]);
-                let sample = seen.and_then(|s| Area::facing(0.0, surfaces[i], s));
-                lights.put(i, (lights.emitter[i], lights.kept[i]), shares[i], sample);
-            }
-        } else {
-            lights.pdf = Lane::zero();
-        }
-        for (index, emitter) in (0..).zip(emitters).take(MOST_TOGETHER) {
-            let Some(together) = together(scene, emitter) else {
-                continue;
-            };
-            self.group.paths.clear();
-            for i in 0..self.n {
-                if lights.emitter[i] == index && shares[i] > P::zero() {
-                    self.group.paths.push(i);
-                }
-            }
-            if self.group.paths.is_empty() {
-                continue;
-            }
-            self.group.sample(together, &at.p, [a, b], |i, sample| {
-                lights.put(i, (index, lights.kept[i]), shares[i], sample);
-                // There is nothing more to do.
-                shares[i] = P::zero();
-            });
-        }
-        // All others, and spheres from within.
-        for i in 0..self.n {
-            if shares[i] > P::zero() && lights.pdf[i] == P::zero() {
-                let (emitter, kept) = (lights.emitter[i], lights.kept[i]);
-                let (p, u) = (at.p.vec(i), [a[i], b[i]]);
-                let sample = emitters[emitter as usize].sample(scene.lights(), p, u);
-                lights.put(i, (emitter, kept), shares[i], sample);
-            }
+            lights.share[i] = settings.lights.share(scene, lights.emitter[i]);
         }
     }
 
@@ -912,8 +956,9 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                 if let Some((.., image)) = around {
                     self.lookups.find(image, self.n, &lights.u, &lights.v);
                 }
+                let (others, rest) = constant_radiances(theta, emitters, self.n, lights);
                 // Where there is no sample, any radiance is right.
-                for i in (0..self.n).filter(|&i| lights.pdf[i] > P::zero()) {
+                for &i in &others[..rest] {
                     let le = match around {
                         Some((index, e, image)) if index == lights.emitter[i] => {
                             let radiance = self.lookups.value(theta, image, i);
@@ -930,11 +975,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         }
         if emitters.len() > 1 && S::COUNTS_HITS {
             // All alike: what is not weighed as if scattering had no density.
-            for i in 0..self.n {
-                if !weighs(S::COUNTS_HITS, &emitters[lights.emitter[i] as usize]) {
-                    lights.pdf_bsdf[i] = P::zero();
-                }
-            }
+            leave_deltas(emitters, self.n, lights);
             weighed = true;
         }
         for i in 0..whole(self.n) {
@@ -1200,6 +1241,101 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         for i in 0..n {
             let is_of_use = looks_for_light::<S, P>(paths.pdf[i], meets[i] != 0);
             self.bounces.continues[i] &= u32::from(is_of_use);
+        }
+    }
+}
+
+/// Samples of all plain balls that paths have chosen, whichever they are.
+#[inline(never)]
+fn sample_balls<P: Float>(
+    scene: &Scene,
+    (p, [a, b]): (&Lanes<P>, [&Lane<P>; 2]),
+    n: usize,
+    lights: &mut Lights<P>,
+) {
+    // A radius of zero is no sphere.
+    let (mut center, mut radius) = (Lanes::<f32>::zero(), Lane::<f32>::zero());
+    let mut surfaces = Lane::<u32>::zero();
+    let mut any = false;
+    for i in 0..n.min(WAVE_SIZE) {
+        if let AnyEmitter::Area(area) = &scene.emitters()[lights.emitter[i] as usize]
+            && let AnyShape::Sphere(sphere) = &scene.shapes()[area.shape as usize]
+            && area.exponent == 0.0
+            && sphere.is_plain()
+        {
+            center.put_vec(i, sphere.center().into());
+            radius[i] = sphere.radius();
+            surfaces[i] = scene.lights().surface(area.shape, 0);
+            any = true;
+        }
+    }
+    if !any {
+        return;
+    }
+    for i in 0..whole(n) {
+        let center = center.vec(i).to_array();
+        let seen = sample_cone(center, radius[i], p.vec(i), [a[i], b[i]]);
+        let sample = seen.and_then(|s| Area::facing(0.0, surfaces[i], s));
+        lights.put(
+            i,
+            (lights.emitter[i], lights.kept[i]),
+            lights.share[i],
+            sample,
+        );
+    }
+}
+
+/// The radiance of samples of emitters that send the same everywhere, without a branch where there are few of them. Which
+/// others there are.
+#[inline(never)]
+fn constant_radiances<P: Float>(
+    theta: &Theta<P>,
+    emitters: &[AnyEmitter],
+    n: usize,
+    lights: &mut Lights<P>,
+) -> ([usize; WAVE_SIZE], usize) {
+    let mut waits = Lane::<u32>::zero();
+    for i in 0..n.min(WAVE_SIZE) {
+        waits[i] = u32::from(lights.pdf[i] > P::zero());
+    }
+    let few = emitters.len() <= FEW;
+    for (index, e) in (0..).zip(emitters).take(FEW) {
+        if few && matches!(e.radiance(), Texture::Constant(_)) && e.scale().is_none() {
+            let radiance: Rgb<P> = e.radiance().rgb(theta, Vec2::zero());
+            for i in 0..whole(n) {
+                let own = lights.emitter[i] == index;
+                let le = Rgb::select(own, radiance * lights.falloff[i], lights.le.rgb(i));
+                lights.le.put_rgb(i, le);
+                waits[i] &= u32::from(!own);
+            }
+        }
+    }
+    let (mut others, mut rest) = ([0; WAVE_SIZE], 0);
+    for i in 0..n.min(WAVE_SIZE) {
+        others[rest % WAVE_SIZE] = i;
+        rest += waits[i] as usize;
+    }
+    (others, rest)
+}
+
+/// Forgets the densities of scattered directions where nothing scattered meets the light that is sampled.
+#[inline(never)]
+fn leave_deltas<P: Float>(emitters: &[AnyEmitter], n: usize, lights: &mut Lights<P>) {
+    // A bit for each of the first emitters.
+    let mut deltas = 0u64;
+    for (index, e) in emitters.iter().enumerate().take(64) {
+        deltas |= u64::from(e.is_delta()) << index;
+    }
+    for i in 0..whole(n) {
+        let index = lights.emitter[i];
+        let delta = (deltas >> (index % 64) & 1 != 0) & (index < 64);
+        lights.pdf_bsdf[i] = P::select(delta, P::zero(), lights.pdf_bsdf[i]);
+    }
+    if emitters.len() > 64 {
+        for i in 0..n.min(WAVE_SIZE) {
+            if emitters[lights.emitter[i] as usize].is_delta() {
+                lights.pdf_bsdf[i] = P::zero();
+            }
         }
     }
 }

@@ -188,6 +188,8 @@ lanes! {
     Lights {
         /// Index of the emitter.
         emitter: Lane<u32>,
+        /// Its share of all samples; zero where none is wanted, or once there is one.
+        share: Lane<P>,
         /// Direction to it, world space.
         d: Lanes<P>,
         /// How far away it is.
@@ -253,6 +255,28 @@ impl<P: Float> Lights<P> {
         self.pdf[i] = pdf;
         self.falloff[i] = falloff;
         (self.u[i], self.v[i]) = (uv.x, uv.y);
+    }
+
+    /// Whether path `i` wants a sample and has none.
+    #[inline(always)]
+    pub fn wants(&self, i: usize) -> bool {
+        (self.share[i] > P::zero()) & (self.pdf[i] == P::zero())
+    }
+
+    /// Path `i` gets this sample of emitter `index`, if it wants one of that and `right` says so: without a branch, for loops
+    /// over many.
+    #[inline(always)]
+    pub fn take(&mut self, i: usize, index: u32, right: bool, s: &EmitterSample<P>) {
+        let (uv, falloff, share) = (s.emission.uv, s.emission.falloff, self.share[i]);
+        let takes = (self.emitter[i] == index) & (share > P::zero()) & right;
+        self.d.put_vec(i, Vec3::select(takes, s.d, self.d.vec(i)));
+        self.distance[i] = P::select(takes, s.distance, self.distance[i]);
+        self.surface[i] = if takes { s.surface } else { self.surface[i] };
+        self.pdf[i] = P::select(takes, s.pdf * share, self.pdf[i]);
+        self.falloff[i] = P::select(takes, falloff, self.falloff[i]);
+        self.u[i] = P::select(takes, uv.x, self.u[i]);
+        self.v[i] = P::select(takes, uv.y, self.v[i]);
+        self.share[i] = P::select(takes, P::zero(), share);
     }
 
     #[inline(always)]

@@ -53,7 +53,7 @@ impl<P: Float> Members<P> for Phong<P> {
         let Material::BlinnPhong(m) = material else {
             return false;
         };
-        let lobe = m.lobe(&mut { *at });
+        let lobe = m.lobe(&mut &*at);
         self.diffuse.put_rgb(k, lobe.diffuse);
         self.specular.put_rgb(k, lobe.specular);
         (self.exponent[k], self.share[k]) = (lobe.exponent, lobe.share);

@@ -6,7 +6,7 @@ use ad_core::{Float, Vec3};
 use super::super::lanes::{Field, Lane, Lanes, WAVE_SIZE, lanes, whole};
 use super::{Found, Leaves, Scattered, Valued, seen_from, sort};
 use crate::bsdf::nesting::{choice, choose};
-use crate::bsdf::{Component, DeltaKind, Material, Shading, shadowing};
+use crate::bsdf::{Component, DeltaKind, Material, Shading, shadowing, tilted, tilts};
 use crate::integrator::vertex::MODE;
 use crate::math::{Frame, Rgb};
 
@@ -22,8 +22,8 @@ struct Mixture<'a, P> {
     tilt: Option<Tilt<P>>,
 }
 
-/// Frame of a tilted surface, and whether its horizon casts shadows.
-struct Tilt<P>(Frame<P>, bool);
+/// A vector along the normal of a tilted surface, and whether its horizon casts shadows.
+struct Tilt<P>(Vec3<P>, bool);
 
 impl<'a, P: Float> Mixture<'a, P> {
     fn of(material: &'a Material, at: &Shading<P>, wo: Vec3<P>) -> Option<Self> {
@@ -59,11 +59,11 @@ impl<'a, P: Float> Mixture<'a, P> {
                 }
             }
             Material::NormalMap(m) => {
-                let tilt = Tilt(m.frame(at, wo, MODE), m.corrections().shadowing);
+                let tilt = Tilt(m.vector(at, wo, MODE), m.corrections().shadowing);
                 tilted(m.nested(), tilt)
             }
             Material::BumpMap(m) => {
-                let tilt = Tilt(m.frame(at, wo, MODE), m.corrections().shadowing);
+                let tilt = Tilt(m.vector(at, wo, MODE), m.corrections().shadowing);
                 tilted(m.nested(), tilt)
             }
             _ => return None,
@@ -93,6 +93,8 @@ lanes! {
         both_b: Lane<u32>,
         tilted: Lane<u32>,
         shadowed: Lane<u32>,
+        /// Along the normals of what is tilted, and the frames of that.
+        along: Lanes<P>,
         s: Lanes<P>,
         t: Lanes<P>,
         n: Lanes<P>,
@@ -130,6 +132,32 @@ impl<P: Float> Mixtures<P> {
             s: self.s.vec(k),
             t: self.t.vec(k),
             n: self.n.vec(k),
+        }
+    }
+
+    #[inline(always)]
+    fn put_frame(&mut self, k: usize, frame: &Frame<P>) {
+        self.s.put_vec(k, frame.s);
+        self.t.put_vec(k, frame.t);
+        self.n.put_vec(k, frame.n);
+    }
+
+    /// Frames of what is tilted.
+    #[inline(never)]
+    fn tilt(&mut self, n: usize) {
+        let x = Vec3::new(P::one(), P::zero(), P::zero());
+        let z = Vec3::new(P::zero(), P::zero(), P::one());
+        for k in 0..whole(n) {
+            let along = self.along.vec(k);
+            let (unit, long) = along.unit();
+            let (frame, right) = Frame::in_line(Vec3::select(tilts(along), unit, z), x);
+            self.put_frame(k, &frame);
+            self.right[k] = u32::from(right & (long | !tilts(along)));
+        }
+        for k in 0..n.min(WAVE_SIZE) {
+            if (self.right[k] == 0) & (self.tilted[k] != 0) {
+                self.put_frame(k, &tilted(self.along.vec(k)));
+            }
         }
     }
 
@@ -184,6 +212,8 @@ impl<P: Float> Mixtures<P> {
 /// The vertices of a wave whose materials are made of others.
 pub struct Composites<P> {
     paths: Vec<usize>,
+    /// Whether frames are known.
+    framed: bool,
     lanes: Box<Mixtures<P>>,
     parts: [Leaves<P>; 2],
     /// What the chosen parts scatter, as they see it.
@@ -207,6 +237,7 @@ impl<P: Float> Default for Box<Composites<P>> {
     fn default() -> Self {
         Self::new(Composites {
             paths: Vec::with_capacity(WAVE_SIZE),
+            framed: false,
             lanes: Box::new(Mixtures::zero()),
             parts: [Leaves::new(), Leaves::new()],
             drawn: Vec::with_capacity(WAVE_SIZE),
@@ -246,28 +277,36 @@ impl<P: Float> Composites<P> {
         if !mixture.parts.iter().all(known) {
             return false;
         }
-        let mut both = [false; 2];
-        for ((part, leaves), both) in mixture.parts.iter().zip(&mut self.parts).zip(&mut both) {
-            if let Some((leaf, same)) = part.and_then(leaf) {
-                leaves.take(k, leaf, &at);
-                *both = same;
+        let mut both = [0; 2];
+        for side in 0..2 {
+            if let Some((leaf, same)) = mixture.parts[side].and_then(leaf) {
+                self.parts[side].take(k, leaf, &at);
+                both[side] = u32::from(same);
             }
         }
         let lanes = &mut *self.lanes;
         lanes.turn[k] = turn;
         (lanes.weight[k], lanes.second[k]) = (mixture.weight, mixture.second);
         lanes.hole[k] = u32::from(mixture.hole);
-        [lanes.both_a[k], lanes.both_b[k]] = both.map(u32::from);
+        [lanes.both_a[k], lanes.both_b[k]] = both;
         lanes.tilted[k] = u32::from(mixture.tilt.is_some());
         lanes.shadowed[k] = 0;
-        if let Some(Tilt(frame, shadowed)) = mixture.tilt {
+        if let Some(Tilt(along, shadowed)) = mixture.tilt {
             lanes.shadowed[k] = u32::from(shadowed);
-            lanes.s.put_vec(k, frame.s);
-            lanes.t.put_vec(k, frame.t);
-            lanes.n.put_vec(k, frame.n);
+            lanes.along.put_vec(k, along);
         }
+        self.framed = false;
         self.paths.push(i);
         true
+    }
+
+    /// Finds the frames of what is tilted, if that has not been done.
+    #[inline(always)]
+    fn frame(&mut self) {
+        if !self.framed {
+            self.lanes.tilt(self.paths.len());
+            self.framed = true;
+        }
     }
 
     /// Values and densities of `wi` as the surface has it.
@@ -311,6 +350,7 @@ impl<P: Float> Composites<P> {
         if self.paths.is_empty() {
             return;
         }
+        self.frame();
         for (k, &i) in self.paths.iter().enumerate() {
             let side = side[i] * self.lanes.turn[k];
             self.lanes.wo.put_vec(k, seen_from(side, wo.vec(i)));
@@ -335,6 +375,7 @@ impl<P: Float> Composites<P> {
         if n == 0 {
             return;
         }
+        self.frame();
         let lanes = &mut *self.lanes;
         for (k, &i) in self.paths.iter().enumerate() {
             let side = side[i] * lanes.turn[k];

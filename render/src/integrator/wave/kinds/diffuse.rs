@@ -26,7 +26,7 @@ impl<P: Float> Members<P> for Matt<P> {
         let Material::Diffuse(m) = material else {
             return false;
         };
-        let lobe = m.lobe(&mut { *at });
+        let lobe = m.lobe(&mut &*at);
         self.reflectance.put_rgb(k, lobe.reflectance);
         true
     }

@@ -27,7 +27,7 @@ impl<P: Float> Members<P> for Glass<P> {
 
     #[inline(always)]
     fn gather(&mut self, k: usize, material: &Material, at: &Shading<P>) -> bool {
-        let read = &mut { *at };
+        let read = &mut &*at;
         let (eta, reflectance, transmittance, thin) = match material {
             Material::Dielectric(m) => {
                 let m = m.lobe(read);

@@ -173,7 +173,7 @@ impl<P: Float> Members<P> for Hairs<P> {
         let Material::Hair(m) = material else {
             return false;
         };
-        let fibre = m.fibre(&mut { *at });
+        let fibre = m.fibre(&mut &*at);
         let lanes = &mut self.lanes;
         lanes.sigma_a.put_rgb(k, fibre.sigma_a);
         [lanes.longitudinal[k], lanes.azimuthal[k]] = fibre.roughness;

@@ -109,18 +109,18 @@ impl<P: Float, A: Alpha<Scalar = P>, N: Shape> Members<P> for Metals<P, A, N> {
     fn gather(&mut self, k: usize, material: &Material, at: &Shading<P>) -> bool {
         match material {
             Material::RoughConductor(m) => {
-                let lobe = m.lobe(&mut { *at });
+                let lobe = m.lobe(&mut &*at);
                 self.facets.put(k, lobe.microfacet.alpha);
                 self.lanes.put(k, &lobe.facet, false);
             }
             Material::AnisotropicConductor(m) => {
-                let lobe = m.lobe(&mut { *at });
+                let lobe = m.lobe(&mut &*at);
                 self.facets.put(k, lobe.microfacet.alpha);
                 self.lanes.put(k, &lobe.facet, false);
             }
             Material::Conductor(m) => {
                 self.facets.put(k, P::one());
-                self.lanes.put(k, &m.lobe(&mut { *at }), true);
+                self.lanes.put(k, &m.lobe(&mut &*at), true);
             }
             _ => return false,
         }

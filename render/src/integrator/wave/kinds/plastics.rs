@@ -69,7 +69,7 @@ impl<P: Float> Members<P> for Plastics<P> {
         let Material::Plastic(m) = material else {
             return false;
         };
-        let lobe = m.lobe(&mut { *at });
+        let lobe = m.lobe(&mut &*at);
         self.coated.put(k, &lobe.coated);
         self.inside[k] = lobe.inside;
         true

@@ -174,8 +174,8 @@ impl<P: Float, A: Alpha<Scalar = P>> Members<P> for PrincipledSurfaces<P, A> {
     #[inline(always)]
     fn gather(&mut self, k: usize, material: &Material, at: &Shading<P>) -> bool {
         match material {
-            Material::Principled(m) => self.put(k, &m.lobe(&mut { *at })),
-            Material::AnisotropicPrincipled(m) => self.put(k, &m.lobe(&mut { *at })),
+            Material::Principled(m) => self.put(k, &m.lobe(&mut &*at)),
+            Material::AnisotropicPrincipled(m) => self.put(k, &m.lobe(&mut &*at)),
             _ => return false,
         }
         true

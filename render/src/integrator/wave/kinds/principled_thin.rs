@@ -219,8 +219,8 @@ impl<P: Float, A: Alpha<Scalar = P>> Members<P> for ThinSurfaces<P, A> {
     #[inline(always)]
     fn gather(&mut self, k: usize, material: &Material, at: &Shading<P>) -> bool {
         match material {
-            Material::PrincipledThin(m) => self.put(k, &m.lobe(&mut { *at })),
-            Material::AnisotropicThin(m) => self.put(k, &m.lobe(&mut { *at })),
+            Material::PrincipledThin(m) => self.put(k, &m.lobe(&mut &*at)),
+            Material::AnisotropicThin(m) => self.put(k, &m.lobe(&mut &*at)),
             _ => return false,
         }
         true

@@ -96,8 +96,8 @@ impl<P: Float, A: Alpha<Scalar = P>, N: Shape> Members<P> for RoughGlass<P, A, N
     #[inline(always)]
     fn gather(&mut self, k: usize, material: &Material, at: &Shading<P>) -> bool {
         match material {
-            Material::RoughDielectric(m) => self.put(k, &m.lobe(&mut { *at })),
-            Material::AnisotropicDielectric(m) => self.put(k, &m.lobe(&mut { *at })),
+            Material::RoughDielectric(m) => self.put(k, &m.lobe(&mut &*at)),
+            Material::AnisotropicDielectric(m) => self.put(k, &m.lobe(&mut &*at)),
             _ => return false,
         }
         true

@@ -2,17 +2,22 @@
 
 use ad_core::Float;
 
-use super::super::lanes::{Field, Lane, WAVE_SIZE, lanes, whole};
+use super::super::lanes::{Field, Lane, Lanes, WAVE_SIZE, lanes, whole};
 use super::facets::{Shape, Surfaces};
 use super::plastics::Coatings;
 use super::{CONTINUOUS, Members, Scattering};
-use crate::bsdf::{Leaf, Material, Passes, Shading};
+use crate::bsdf::coat::{Coat, Curve, Passes, place, weighed};
+use crate::bsdf::{Leaf, Material, Shading};
+use crate::texture::{ScalarTexture, Texture};
+
+/// Coats of so many materials are kept.
+const MOST_KEPT: usize = 32;
 
 lanes! {
     /// Rough plastic, but for its normals and tables.
     RoughCoatings {
         coated: Coatings<P>,
-        /// What passes of light along `wo`; negative where that is not known.
+        /// What passes of light along `wo`.
         t_o: Lane<P>,
         /// The same of light along `wi`.
         t_i: Lane<P>,
@@ -21,34 +26,118 @@ lanes! {
     }
 }
 
+lanes! {
+    /// What passes at the nodes around cosines.
+    Nodes {
+        cell: Lane<u32>,
+        a: Lane<P>,
+        b: Lane<P>,
+        c: Lane<P>,
+        d: Lane<P>,
+    }
+}
+
+/// A coat of one roughness and index.
+struct Kept<P> {
+    coat: &'static Coat,
+    alpha: P,
+    eta: P,
+    curve: Curve<P>,
+}
+
 /// Rough plastic whose normals are of one shape.
 pub struct RoughPlastics<P, N> {
     lanes: RoughCoatings<P>,
+    nodes: Nodes<P>,
     facets: Surfaces<P, P, N>,
-    /// In the order of their places.
-    passes: Vec<Passes<'static, P>>,
+    /// Of materials that are the same everywhere.
+    kept: Vec<Kept<P>>,
+    /// Where each is among these, or, counted from [`MOST_KEPT`], among others.
+    place: Lane<u32>,
+    /// Coats of the others.
+    others: Vec<Passes<'static, P>>,
+    /// Whether it is known what passes along `wo`.
+    seen: bool,
+}
+
+impl<P: Float> Nodes<P> {
+    /// What passes of the first `n` along directions: nodes are looked up one by one, between what is done in vectors.
+    #[inline(never)]
+    fn look(
+        &mut self,
+        n: usize,
+        coats: (&[Kept<P>], &[Passes<P>], &Lane<u32>),
+        directions: &Lanes<P>,
+        out: &mut Lane<P>,
+    ) {
+        let (kept, others, places) = coats;
+        for k in 0..whole(n) {
+            (self.cell[k], _) = place(directions.vec(k).z);
+        }
+        for k in 0..n.min(WAVE_SIZE) {
+            let place = places[k] as usize;
+            let [a, b, c, d] = match kept.get(place) {
+                Some(kept) => kept.curve.nodes(self.cell[k]),
+                None => others[place - MOST_KEPT].nodes(self.cell[k]),
+            };
+            (self.a[k], self.b[k], self.c[k], self.d[k]) = (a, b, c, d);
+        }
+        for k in 0..whole(n) {
+            let (_, weights) = place(directions.vec(k).z);
+            out[k] = weighed([self.a[k], self.b[k], self.c[k], self.d[k]], weights);
+        }
+    }
 }
 
 impl<P: Float, N: Shape> RoughPlastics<P, N> {
-    /// Looked up one by one: what passes along `wo` once, for all that is asked.
-    #[inline(never)]
-    fn look_out(&mut self, of: &Scattering<P>) {
-        for (k, passes) in self.passes.iter().enumerate().take(WAVE_SIZE) {
-            let cos = of.wo.vec(k).z;
-            if self.lanes.t_o[k] < P::zero() && cos > P::zero() {
-                self.lanes.t_o[k] = passes.transmit(cos);
+    /// Takes in a coat as the `k`-th. What passes a coat that is the `same` everywhere is kept.
+    #[inline(always)]
+    fn know(&mut self, k: usize, (coat, alpha, eta): (&'static Coat, P, P), same: bool) {
+        let is_it = |kept: &Kept<P>| {
+            std::ptr::eq(kept.coat, coat) & (kept.alpha == alpha) & (kept.eta == eta)
+        };
+        let mut place = self.kept.iter().position(is_it);
+        if k == 0 {
+            self.others.clear();
+        }
+        if place.is_none() {
+            let passes = coat.passes(alpha, eta);
+            if same && self.kept.len() < MOST_KEPT {
+                place = Some(self.kept.len());
+                let curve = Curve::of(&passes);
+                self.kept.push(Kept {
+                    coat,
+                    alpha,
+                    eta,
+                    curve,
+                });
+            } else {
+                self.lanes.inside[k] = passes.inside();
+                self.place[k] = (MOST_KEPT + self.others.len()) as u32;
+                self.others.push(passes);
             }
+        }
+        if let Some(place) = place {
+            self.lanes.inside[k] = self.kept[place].curve.inside;
+            self.place[k] = place as u32;
+        }
+        self.seen = false;
+    }
+
+    /// What passes along `wo`: once, for all that is asked.
+    #[inline(always)]
+    fn look_out(&mut self, n: usize, of: &Scattering<P>) {
+        if !self.seen {
+            let coats = (&*self.kept, &*self.others, &self.place);
+            self.nodes.look(n, coats, &of.wo, &mut self.lanes.t_o);
+            self.seen = true;
         }
     }
 
-    #[inline(never)]
-    fn look_in(&mut self, of: &Scattering<P>) {
-        for (k, passes) in self.passes.iter().enumerate().take(WAVE_SIZE) {
-            let (wo, wi) = (of.wo.vec(k), of.wi.vec(k));
-            if wo.z > P::zero() && wi.z > P::zero() {
-                self.lanes.t_i[k] = passes.transmit(wi.z);
-            }
-        }
+    #[inline(always)]
+    fn look_in(&mut self, n: usize, of: &Scattering<P>) {
+        let coats = (&*self.kept, &*self.others, &self.place);
+        self.nodes.look(n, coats, &of.wi, &mut self.lanes.t_i);
     }
 
     #[inline(never)]
@@ -82,8 +171,12 @@ impl<P: Float, N: Shape> Members<P> for RoughPlastics<P, N> {
     fn new() -> Self {
         Self {
             lanes: RoughCoatings::zero(),
+            nodes: Nodes::zero(),
             facets: Surfaces::new(),
-            passes: Vec::with_capacity(WAVE_SIZE),
+            kept: Vec::new(),
+            place: Lane::zero(),
+            others: Vec::new(),
+            seen: false,
         }
     }
 
@@ -92,29 +185,27 @@ impl<P: Float, N: Shape> Members<P> for RoughPlastics<P, N> {
         let Material::RoughPlastic(m) = material else {
             return false;
         };
-        let lobe = m.lobe(&mut { *at });
-        let (lanes, alpha) = (&mut self.lanes, lobe.microfacet.alpha);
-        let passes = lobe.table.passes(alpha, lobe.coated.eta);
+        let lobe = m.lobe(&mut &*at);
+        let alpha = lobe.microfacet.alpha;
         self.facets.put(k, alpha);
-        lanes.coated.put(k, &lobe.coated);
-        lanes.inside[k] = passes.inside();
-        lanes.t_o[k] = -P::one();
-        self.passes.truncate(k);
-        self.passes.push(passes);
+        self.lanes.coated.put(k, &lobe.coated);
+        let same = |texture: &ScalarTexture| matches!(texture, Texture::Constant(_));
+        let same = same(&m.roughness.alpha) & same(&m.coated.eta);
+        self.know(k, (lobe.table, alpha, lobe.coated.eta), same);
         true
     }
 
     #[inline(always)]
     fn eval_pdf(&mut self, n: usize, of: &mut Scattering<P>) {
-        self.look_out(of);
-        self.look_in(of);
+        self.look_out(n, of);
+        self.look_in(n, of);
         self.facets.reflecting(n, of);
         self.value(n, of);
     }
 
     #[inline(always)]
     fn sample(&mut self, n: usize, of: &mut Scattering<P>) {
-        self.look_out(of);
+        self.look_out(n, of);
         self.facets.sample(n, of, false);
         self.turn(n, of);
         self.eval_pdf(n, of);
