@@ -24,7 +24,7 @@ use crate::texture::Texture;
 const OVERLAP: f64 = 1.125;
 /// Half the size of boxes that are not cut any more, in parts of a piece.
 const LEAST: f64 = 1e-7;
-/// Most boxes of one search: where whole curves are roots, it would never end.
+/// Most boxes on the pieces of a surface in one search: where whole curves are roots, it would never end.
 const MOST_BOXES: u64 = 1 << 16;
 /// How far beyond its edges a piece is searched: roots on edges of two pieces are found twice, and not lost.
 const MARGIN: f64 = 1e-9;
@@ -378,14 +378,20 @@ impl Search<'_> {
     }
 }
 
-impl<'q> Question<'q> {
-    /// Where the roots on a piece are, box by box.
-    fn search(&self, piece: &Piece, found: &mut Every, mut root: impl FnMut([f64; 2])) {
+impl Question<'_> {
+    /// Where the roots on a piece are, box by box, with so many boxes `left`.
+    fn search(
+        &self,
+        piece: &Piece,
+        left: &mut u64,
+        found: &mut Every,
+        mut root: impl FnMut([f64; 2]),
+    ) {
         let mut known = SmallVec::<[[f64; 2]; 4]>::new();
         let mut boxes = SmallVec::<[([f64; 2], f64); 32]>::new();
         boxes.push(([0.5; 2], 0.5));
         while let Some((middle, half)) = boxes.pop() {
-            if found.boxes >= MOST_BOXES {
+            if *left == 0 {
                 found.undecided += 1 + boxes.len() as u64;
                 return;
             }
@@ -395,6 +401,7 @@ impl<'q> Question<'q> {
                 continue;
             }
             found.boxes += 1;
+            *left -= 1;
             let (p, n) = piece.at([a, b]);
             if self.excludes(p, n) {
                 continue;
@@ -463,6 +470,7 @@ impl Space<'_> {
             normal: Normal::Own,
         };
         for &(sides, index) in sides {
+            let mut left = MOST_BOXES;
             let question = Question {
                 start: start.si.p,
                 target,
@@ -482,7 +490,7 @@ impl Space<'_> {
                     Part::Piece(i) => {
                         let piece = &pieces.pieces[i as usize];
                         let mut roots = SmallVec::<[[f64; 2]; 2]>::new();
-                        question.search(piece, found, |at| roots.push(at));
+                        question.search(piece, &mut left, found, |at| roots.push(at));
                         found.roots += roots.len() as u64;
                         for at in roots {
                             let (p, _) = piece.at(at);
