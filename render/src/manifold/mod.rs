@@ -16,8 +16,8 @@
 //!
 //! # All chains, without trials
 //! Where chains have one vertex, on smooth surfaces without normal maps, [`Space::every`] finds every one of them and proves that
-//! there is no other ([`crate::scene::Method::Complete`]): nothing is random but the point of the light. It takes longer than some
-//! walks, and so pays where solutions are many or rare.
+//! there is no other ([`crate::scene::Method::Complete`]): nothing is random but the point of the light. It takes much longer than
+//! random walks, and is there to know what these should find.
 //!
 //! # Rough casters
 //! Of metal and glass that are rough, the normal of one facet per vertex is drawn for each estimate and kept through all its

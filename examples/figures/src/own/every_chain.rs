@@ -168,13 +168,14 @@ fn check_roots(fig: &mut Figure) -> Result {
 
 /// The light of chains by complete searches and by unbiased random walks, and what it costs, by the number of triangles.
 fn check_light(fig: &mut Figure) -> Result {
-    let size = fig.pick(16, 48);
-    let effort = Effort::of(fig, [4, 16], SEED);
+    let size = fig.pick(12, 24);
+    let effort = Effort::of(fig, [4, 4], SEED);
     effort.note(fig, size);
     let rows: &[u32] = fig.pick(&[6, 24][..], &[6, 12, 24, 48, 96][..]);
     let mut gains = Vec::new();
     let (mut apart, mut louder): (f64, f64) = (0.0, 0.0);
     let mut panels = Vec::new();
+    let factor = (288 / size) as usize;
     for (k, &rows) in (0..).zip(rows) {
         let scene = ball(size, rows)?;
         let of = |method: Method, k: u64| -> Result<Measured> {
@@ -202,8 +203,12 @@ fn check_light(fig: &mut Figure) -> Result {
         let triangles = f64::from(4 * rows * rows);
         let boxes = complete.found.steps as f64 / complete.found.attempts.max(1) as f64;
         gains.push((triangles, gain, boxes));
-        panels.push(complete.panel(&format!("{triangles} triangles, complete"), &random, 4));
-        panels.push(random.panel(&format!("{triangles} triangles, random walks"), &random, 4));
+        panels.push(complete.panel(&format!("{triangles} triangles, complete"), &random, factor));
+        panels.push(random.panel(
+            &format!("{triangles} triangles, random walks"),
+            &random,
+            factor,
+        ));
     }
     let limit = z_limit(rows.len(), effort.runs, LEVEL);
     fig.check(
