@@ -33,6 +33,8 @@ const MARGIN: f64 = 1e-9;
 const SLIVER: f64 = 1e-12;
 /// Steps of Newton's method from the middle of a box with one root.
 const NEWTON: u32 = 8;
+/// The last of them is shorter than this part of the box.
+const CONVERGED: f64 = 1e-3;
 /// A chain has met what a root stands for up to this part of its first edge. It decides what hides a root, not where it is.
 const MET: f64 = 1e-6;
 
@@ -364,17 +366,18 @@ impl Search<'_> {
         self.value([number(0), number(1)])
     }
 
-    /// The root of a box that has one, to rounding.
-    fn root(&self, mut at: [f64; 2]) -> [f64; 2] {
+    /// The root of a box that has one, to rounding. `None` where Newton's method does not go there from the middle.
+    fn root(&self, middle: [f64; 2], radius: f64) -> Option<[f64; 2]> {
+        let (mut at, mut last) = (middle, f64::INFINITY);
         for _ in 0..NEWTON {
             let [a, b] = self.value([Dual::<f64, 2>::var(at[0], 0), Dual::var(at[1], 1)]);
-            let Some(inverse) = Mat2::from_rows([a.eps, b.eps]).inverse() else {
-                break;
-            };
+            let inverse = Mat2::from_rows([a.eps, b.eps]).inverse()?;
             let step = inverse * Vec2::new(a.re, b.re);
             at = [at[0] - step.x, at[1] - step.y];
+            last = f64::max(step.x.abs(), step.y.abs());
         }
-        at
+        let within = (0..2).all(|i| (at[i] - middle[i]).abs() <= radius);
+        (within && last <= CONVERGED * radius).then_some(at)
     }
 }
 
@@ -419,10 +422,12 @@ impl Question<'_> {
             }
             // The normal in the middle has to be one that all others of the box are within a right angle of.
             let ahead = piece.at([a, b]).1.dot(Vec3::lift(n));
-            if ahead.lo() > 0.0 && isolated(&at, &over, radius).is_some() {
-                let within = |x: &[f64; 2]| (0..2).all(|i| (x[i] - middle[i]).abs() <= radius);
-                if !known.iter().any(within) {
-                    let at = search.root(middle);
+            let is_alone = ahead.lo() > 0.0 && isolated(&at, &over, radius).is_some();
+            let within = |x: &&[f64; 2]| (0..2).all(|i| (x[i] - middle[i]).abs() <= radius);
+            let known_root = known.iter().find(within).copied();
+            let search_root = || known_root.or_else(|| search.root(middle, radius));
+            if is_alone && let Some(at) = search_root() {
+                if known_root.is_none() {
                     known.push(at);
                     if piece.has(at) {
                         root(at);
