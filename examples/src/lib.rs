@@ -51,4 +51,5 @@ pub mod progress;
 pub mod ranks;
 pub mod scene_builder;
 pub mod sheet;
+pub mod solved;
 pub mod tools;

@@ -19,7 +19,8 @@ use render::sampler::mix64;
 use render::{Image, RenderError, Scene, Settings};
 use serde::{Deserialize, Serialize};
 
-use crate::cli::{ToolError, Walks};
+use crate::cli::ToolError;
+use crate::solved::Walks;
 
 /// A scene with unknown parameters, and what they are judged by.
 #[derive(Debug)]

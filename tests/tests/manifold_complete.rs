@@ -134,7 +134,7 @@ fn exhaustive(
 }
 
 /// Reflection off a mesh of 168 triangles and off a ball, and refraction out of both: from 60 places on the floor, what a search
-/// over 2 304 directions finds, and, but for one solution in a hundred that this misses, nothing else.
+/// over 2 304 directions finds, and, but for two solutions in a hundred that this misses, nothing else.
 #[test]
 #[cfg_attr(debug_assertions, ignore = "many walks: runs with --release")]
 fn every_root_is_found_and_no_other() {
@@ -273,7 +273,7 @@ fn complete_searches_bring_the_light_of_random_ones() {
     assert!(image.iter().all(|v| v.is_finite()));
 }
 
-/// What is not covered is refused by name.
+/// What is not covered is refused by name, and counted where an image does without.
 #[test]
 fn what_is_not_covered_is_refused() {
     let cylinder = format!(
@@ -296,6 +296,18 @@ fn what_is_not_covered_is_refused() {
             ..Connections::new(Method::Complete)
         };
         let split = Split::of(&s, &connections).expect("a caster");
+        // An image that is asked for all the same says that it lacks something.
+        let settings = Settings {
+            connections: Some(connections),
+            ..complete()
+        };
+        let theta = Theta::constant(s.params().values());
+        let job = Job::new(&s, &settings, 1, 0..1, &());
+        let found = render_f32(&job, &theta, Estimator::Mis).connections;
+        assert!(
+            found.attempts > 0 && found.exhausted == found.attempts,
+            "{found:?}"
+        );
         let error = split
             .admits(&s, Method::Complete)
             .expect_err("refused")

@@ -18,12 +18,13 @@ use serde::{Serialize, Serializer};
 
 use crate::chart::{LineChart, Panel};
 use crate::cli::{
-    self, Choice, ListArgs, LoadArgs, ManifoldArgs, Outcome, SampleArgs, SolvedReport, ThreadArgs,
-    ToolError, Walks, depth, report_non_finite, sample_count,
+    self, Choice, ListArgs, LoadArgs, Outcome, SampleArgs, ThreadArgs, ToolError, depth,
+    report_non_finite, sample_count,
 };
 use crate::output;
 use crate::progress::{Bar, Interrupt};
 use crate::ranks::median;
+use crate::solved::{ManifoldArgs, SolvedReport, Walks};
 use crate::tools::stability::Finding;
 use crate::{complain, print, say};
 

@@ -17,12 +17,13 @@ use render::{Image, Scene, Settings, image_io};
 use serde::Serialize;
 
 use crate::cli::{
-    self, Choice, ListArgs, LoadArgs, ManifoldArgs, Outcome, SampleArgs, SolvedReport, ThreadArgs,
-    ToolError, Walks, depth, report_non_finite, sample_count,
+    self, Choice, ListArgs, LoadArgs, Outcome, SampleArgs, ThreadArgs, ToolError, depth,
+    report_non_finite, sample_count,
 };
 use crate::output;
 use crate::progress::{Bar, Interrupt};
 use crate::ranks::median;
+use crate::solved::{ManifoldArgs, SolvedReport, Walks};
 use crate::{complain, print, say};
 
 pub mod check;

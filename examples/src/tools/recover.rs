@@ -38,13 +38,14 @@ use self::store::{Inputs, Store};
 use super::render::{Method, in_passes, passes};
 use crate::builtin_scene;
 use crate::cli::{
-    ListArgs, LoadArgs, ManifoldArgs, Outcome, SampleArgs, ThreadArgs, ToolError, Walks, depth,
-    names_of, report_non_finite, sample_count, warn_of_crossings,
+    ListArgs, LoadArgs, Outcome, SampleArgs, ThreadArgs, ToolError, depth, names_of,
+    report_non_finite, sample_count, warn_of_crossings,
 };
 use crate::complain;
 use crate::optimise::{Algorithm, Problem, Target};
 use crate::output;
 use crate::progress::{Bar, Interrupt};
+use crate::solved::{ManifoldArgs, Walks};
 
 /// Values of `--iterations`.
 const ITERATIONS: RangeInclusive<i64> = 1..=1 << 24;

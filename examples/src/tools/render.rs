@@ -20,11 +20,12 @@ use render::{RenderError, Scene, Settings, image_io};
 use serde::Serialize;
 
 use crate::cli::{
-    self, LoadArgs, ManifoldArgs, Outcome, SampleArgs, SolvedReport, ThreadArgs, ToolError, Walks,
-    depth, manifold_planes, report_non_finite, sample_count, warn_of_unsampled,
+    LoadArgs, Outcome, SampleArgs, ThreadArgs, ToolError, depth, report_non_finite, sample_count,
+    warn_of_unsampled,
 };
 use crate::output;
 use crate::progress::{Bar, Interrupt};
+use crate::solved::{ManifoldArgs, SolvedReport, Walks, complain_of_more_light, manifold_planes};
 use crate::tools::check;
 use crate::{complain, say};
 use energy::Energy;
@@ -359,7 +360,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Outcome, ToolError> {
     args.manifold.apply(&scene, &mut settings)?;
     if !matches!(method, Method::Paths(_)) {
         // All light is particles' there.
-        cli::complain_of_more_light(&settings, "--integrator");
+        complain_of_more_light(&settings, "--integrator");
         settings.connections = None;
         settings.glints = None;
     }

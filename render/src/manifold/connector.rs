@@ -150,6 +150,8 @@ pub struct Connector<'a> {
     pub(super) landings: Landings,
     /// Casters and their surfaces, where all solutions are sought.
     pieces: Vec<(u32, Pieces)>,
+    /// Whether these are all that chains lead over ([`Split::admits`]).
+    covered: bool,
     /// How often starts go to each caster or one before it in the list; empty where all are alike.
     pub(super) reach: Vec<f64>,
 }
@@ -201,12 +203,12 @@ impl<'a> Connector<'a> {
         };
         let casters = split.caster_list.iter();
         let complete = options.method == Method::Complete;
-        let pieces = casters.filter(|_| complete).filter_map(|&shape| {
-            // What is not covered, `Split::admits` has refused.
-            Some((shape, Pieces::of(space.scene, shape).ok()?))
-        });
+        let pieces = casters
+            .filter(|_| complete)
+            .filter_map(|&shape| Some((shape, Pieces::of(space.scene, shape).ok()?)));
         Self {
             pieces: pieces.collect(),
+            covered: split.admits(space.scene, options.method).is_ok(),
             space,
             split,
             options,
@@ -353,7 +355,8 @@ impl<'a> Connector<'a> {
         s.walks += every.roots;
         s.converged += every.solutions.len() as u64;
         s.steps += every.boxes;
-        s.exhausted += u64::from(every.undecided > 0);
+        // Images are rendered of what is not admitted, too.
+        s.exhausted += u64::from(every.undecided > 0 || !self.covered);
         every.solutions
     }
 

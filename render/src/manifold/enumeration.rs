@@ -38,6 +38,9 @@ const CONVERGED: f64 = 1e-3;
 /// A chain has met what a root stands for up to this part of its first edge. It decides what hides a root, not where it is.
 const MET: f64 = 1e-6;
 
+/// What is not covered of shapes that are of no smooth pieces here.
+const OTHER: &str = "its shape (expected a mesh, a sphere, a rectangle or a cube)";
+
 /// A bound of a number that changes with two others.
 type Bound = Dual<Interval, 2>;
 
@@ -163,7 +166,7 @@ impl Pieces {
             AnyShape::Sphere(sphere) => of_sphere(sphere),
             AnyShape::Rectangle(rectangle) => vec![of_patch(&rectangle.0)],
             AnyShape::Cube(cube) => cube.faces().iter().map(of_patch).collect(),
-            _ => Vec::new(),
+            _ => return Err(OTHER),
         };
         let mut nodes = Vec::with_capacity(2 * pieces.len());
         if !pieces.is_empty() {
@@ -197,7 +200,7 @@ impl Pieces {
             | AnyShape::Sphere(_)
             | AnyShape::Rectangle(_)
             | AnyShape::Cube(_) => Ok(()),
-            _ => Err("its shape (expected a mesh, a sphere, a rectangle or a cube)"),
+            _ => Err(OTHER),
         }
     }
 }
@@ -405,8 +408,8 @@ impl Question<'_> {
             }
             found.boxes += 1;
             *left -= 1;
-            let (p, n) = piece.at([a, b]);
-            if self.excludes(p, n) {
+            let (p, normals) = piece.at([a, b]);
+            if self.excludes(p, normals) {
                 continue;
             }
             let (_, n) = piece.at(middle);
@@ -421,7 +424,7 @@ impl Question<'_> {
                 continue;
             }
             // The normal in the middle has to be one that all others of the box are within a right angle of.
-            let ahead = piece.at([a, b]).1.dot(Vec3::lift(n));
+            let ahead = normals.dot(Vec3::lift(n));
             let is_alone = ahead.lo() > 0.0 && isolated(&at, &over, radius).is_some();
             let within = |x: &&[f64; 2]| (0..2).all(|i| (x[i] - middle[i]).abs() <= radius);
             let known_root = known.iter().find(within).copied();

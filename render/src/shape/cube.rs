@@ -47,9 +47,7 @@ impl Cube {
         let area: f64 = faces.iter().map(Patch::area).sum();
         area.is_finite().then_some(Self { faces, area })
     }
-}
 
-impl Cube {
     /// Its six faces.
     pub(crate) fn faces(&self) -> &[Patch; 6] {
         &self.faces

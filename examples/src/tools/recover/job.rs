@@ -13,7 +13,8 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use super::file_path::FilePath;
 use super::{Args, ITERATIONS, SIZES};
 use crate::builtin_scene;
-use crate::cli::{self, ManifoldArgs, SAMPLE_COUNTS, SampleArgs, ToolError};
+use crate::cli::{self, SAMPLE_COUNTS, SampleArgs, ToolError};
+use crate::solved::ManifoldArgs;
 
 /// `--target`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]

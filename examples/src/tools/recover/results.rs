@@ -11,9 +11,10 @@ use serde::Serialize;
 use super::job::OptimizerArg;
 use super::{Checkpoint, PANELS, PICTURE_SPP, Recovery, Row, SAVED, is_complete};
 use crate::chart::LineChart;
-use crate::cli::{SolvedReport, ToolError};
+use crate::cli::ToolError;
 use crate::output;
 use crate::progress::Interrupt;
+use crate::solved::SolvedReport;
 use crate::{complain, say};
 
 impl Recovery {

@@ -147,7 +147,7 @@ impl Envmap {
         let sine_squared = x.square() + z.square();
         let u = angle::atan2(x, -z) * R::c(0.5 * FRAC_1_PI);
         let u = R::select(u.primal() < R::Primal::zero(), u + R::c(1.0), u);
-        let v = angle::atan2(sine_squared.sqrt(), y) * R::c(FRAC_1_PI);
+        let v = angle::polar(x, z, y) * R::c(FRAC_1_PI);
         // 1 - cos theta without cancellation near the upper pole; near the lower one nothing cancels.
         let r = (sine_squared + y * y).sqrt();
         let h = R::select(

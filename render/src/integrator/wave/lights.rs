@@ -15,6 +15,7 @@ use crate::math::{NOWHERE, Rgb};
 use crate::params::Theta;
 use crate::scene::Scene;
 use crate::shape::{AnyShape, Rectangle, Shape, sample_cone};
+use crate::texture::Texture;
 
 /// Emitters beyond so many are sampled one by one: few paths of a wave meet at one of them.
 pub const MOST_TOGETHER: usize = 16;
@@ -45,14 +46,16 @@ pub enum Together<'a> {
 /// What paths that choose this emitter may do together.
 pub fn together<'a>(scene: &'a Scene, emitter: &'a AnyEmitter) -> Option<Together<'a>> {
     Some(match emitter {
-        AnyEmitter::Area(area) if area.exponent == 0.0 => {
+        AnyEmitter::Area(area) => {
             let surface = || scene.lights().surface(area.shape, 0);
             match &scene.shapes()[area.shape as usize] {
-                AnyShape::Rectangle(rectangle) => Together::Rectangle(*rectangle, surface()),
-                AnyShape::Sphere(sphere) if sphere.is_plain() => {
-                    Together::Ball(sphere.center(), sphere.radius(), surface())
+                AnyShape::Rectangle(rectangle) if area.exponent == 0.0 => {
+                    Together::Rectangle(*rectangle, surface())
                 }
-                _ => return None,
+                _ => {
+                    let (center, radius) = even_ball(scene, area)?;
+                    Together::Ball(center, radius, surface())
+                }
             }
         }
         AnyEmitter::Point(e) => Together::Point(e.position()),
@@ -65,6 +68,17 @@ pub fn together<'a>(scene: &'a Scene, emitter: &'a AnyEmitter) -> Option<Togethe
         AnyEmitter::Envmap(e) if e.is_known() => Together::Envmap(e),
         _ => return None,
     })
+}
+
+/// Centre and radius, if light comes from a ball that sends the same everywhere, and [`sample_cone`] is all of its samples.
+#[inline(always)]
+fn even_ball(scene: &Scene, area: &Area) -> Option<([f32; 3], f32)> {
+    match &scene.shapes()[area.shape as usize] {
+        AnyShape::Sphere(sphere) if area.exponent == 0.0 && sphere.is_plain() => {
+            Some((sphere.center(), sphere.radius()))
+        }
+        _ => None,
+    }
 }
 
 lanes! {
@@ -534,6 +548,99 @@ impl<P: Float> Skies<P> {
             let weight = met_weight::<S, P>(pdf_bsdf, pdf, share);
             let sampled = has_rival::<S, P>(depth, pdf_bsdf);
             self.weight[k] = P::select(sampled, weight, P::one());
+        }
+    }
+}
+
+/// Samples of all plain balls that paths have chosen, whichever they are.
+#[inline(never)]
+pub fn sample_balls<P: Float>(
+    scene: &Scene,
+    (p, [a, b]): (&Lanes<P>, [&Lane<P>; 2]),
+    n: usize,
+    lights: &mut Lights<P>,
+) {
+    // A radius of zero is no sphere.
+    let (mut center, mut radius) = (Lanes::<f32>::zero(), Lane::<f32>::zero());
+    let mut surfaces = Lane::<u32>::zero();
+    let mut any = false;
+    for i in 0..n.min(WAVE_SIZE) {
+        if let AnyEmitter::Area(area) = &scene.emitters()[lights.emitter[i] as usize]
+            && let Some((at, r)) = even_ball(scene, area)
+        {
+            center.put_vec(i, at.into());
+            radius[i] = r;
+            surfaces[i] = scene.lights().surface(area.shape, 0);
+            any = true;
+        }
+    }
+    if !any {
+        return;
+    }
+    for i in 0..whole(n) {
+        let center = center.vec(i).to_array();
+        let seen = sample_cone(center, radius[i], p.vec(i), [a[i], b[i]]);
+        let sample = seen.and_then(|s| Area::facing(0.0, surfaces[i], s));
+        lights.put(
+            i,
+            (lights.emitter[i], lights.kept[i]),
+            lights.share[i],
+            sample,
+        );
+    }
+}
+
+/// The radiance of samples of emitters that send the same everywhere, without a branch where there are few of them. Which
+/// others there are.
+#[inline(never)]
+pub fn constant_radiances<P: Float>(
+    theta: &Theta<P>,
+    emitters: &[AnyEmitter],
+    n: usize,
+    lights: &mut Lights<P>,
+) -> ([usize; WAVE_SIZE], usize) {
+    let mut waits = Lane::<u32>::zero();
+    for i in 0..n.min(WAVE_SIZE) {
+        waits[i] = u32::from(lights.pdf[i] > P::zero());
+    }
+    let few = emitters.len() <= FEW;
+    for (index, e) in (0..).zip(emitters).take(FEW) {
+        if few && matches!(e.radiance(), Texture::Constant(_)) && e.scale().is_none() {
+            let radiance: Rgb<P> = e.radiance().rgb(theta, Vec2::zero());
+            for i in 0..whole(n) {
+                let own = lights.emitter[i] == index;
+                let le = Rgb::select(own, radiance * lights.falloff[i], lights.le.rgb(i));
+                lights.le.put_rgb(i, le);
+                waits[i] &= u32::from(!own);
+            }
+        }
+    }
+    let (mut others, mut rest) = ([0; WAVE_SIZE], 0);
+    for i in 0..n.min(WAVE_SIZE) {
+        others[rest % WAVE_SIZE] = i;
+        rest += waits[i] as usize;
+    }
+    (others, rest)
+}
+
+/// Forgets the densities of scattered directions where nothing scattered meets the light that is sampled.
+#[inline(never)]
+pub fn leave_deltas<P: Float>(emitters: &[AnyEmitter], n: usize, lights: &mut Lights<P>) {
+    // A bit for each of the first emitters.
+    let mut deltas = 0u64;
+    for (index, e) in emitters.iter().enumerate().take(64) {
+        deltas |= u64::from(e.is_delta()) << index;
+    }
+    for i in 0..whole(n) {
+        let index = lights.emitter[i];
+        let delta = (deltas >> (index % 64) & 1 != 0) & (index < 64);
+        lights.pdf_bsdf[i] = P::select(delta, P::zero(), lights.pdf_bsdf[i]);
+    }
+    if emitters.len() > 64 {
+        for i in 0..n.min(WAVE_SIZE) {
+            if emitters[lights.emitter[i] as usize].is_delta() {
+                lights.pdf_bsdf[i] = P::zero();
+            }
         }
     }
 }

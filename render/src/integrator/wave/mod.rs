@@ -31,7 +31,10 @@ use derivatives::albedo;
 use kinds::{Kinds, has_two_sides, seen_from, side};
 pub(super) use lanes::WAVE_SIZE;
 use lanes::{Field, Lane, Lanes, whole};
-use lights::{FEW, Group, Leaving, MOST_TOGETHER, Together, meet_evenly, together};
+use lights::{
+    FEW, Group, Leaving, MOST_TOGETHER, Together, constant_radiances, leave_deltas, meet_evenly,
+    sample_balls, together,
+};
 use lookups::{Lookups, image};
 use numbers::{bits, draw_units, sobol};
 pub(super) use record::Record;
@@ -62,7 +65,7 @@ use crate::math::{NOWHERE, Ray, Rgb, Segment};
 use crate::params::Theta;
 use crate::sampler::{Points, Purpose, Sampler, index_below, sobol_bits};
 use crate::scene::{LightChoice, Scene, Shares};
-use crate::shape::{AnyShape, Shape, SurfaceInteraction, sample_cone};
+use crate::shape::{AnyShape, Shape, SurfaceInteraction};
 use crate::texture::Texture;
 
 /// Keeps what happens to the paths of a wave.
@@ -1241,101 +1244,6 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         for i in 0..n {
             let is_of_use = looks_for_light::<S, P>(paths.pdf[i], meets[i] != 0);
             self.bounces.continues[i] &= u32::from(is_of_use);
-        }
-    }
-}
-
-/// Samples of all plain balls that paths have chosen, whichever they are.
-#[inline(never)]
-fn sample_balls<P: Float>(
-    scene: &Scene,
-    (p, [a, b]): (&Lanes<P>, [&Lane<P>; 2]),
-    n: usize,
-    lights: &mut Lights<P>,
-) {
-    // A radius of zero is no sphere.
-    let (mut center, mut radius) = (Lanes::<f32>::zero(), Lane::<f32>::zero());
-    let mut surfaces = Lane::<u32>::zero();
-    let mut any = false;
-    for i in 0..n.min(WAVE_SIZE) {
-        if let AnyEmitter::Area(area) = &scene.emitters()[lights.emitter[i] as usize]
-            && let AnyShape::Sphere(sphere) = &scene.shapes()[area.shape as usize]
-            && area.exponent == 0.0
-            && sphere.is_plain()
-        {
-            center.put_vec(i, sphere.center().into());
-            radius[i] = sphere.radius();
-            surfaces[i] = scene.lights().surface(area.shape, 0);
-            any = true;
-        }
-    }
-    if !any {
-        return;
-    }
-    for i in 0..whole(n) {
-        let center = center.vec(i).to_array();
-        let seen = sample_cone(center, radius[i], p.vec(i), [a[i], b[i]]);
-        let sample = seen.and_then(|s| Area::facing(0.0, surfaces[i], s));
-        lights.put(
-            i,
-            (lights.emitter[i], lights.kept[i]),
-            lights.share[i],
-            sample,
-        );
-    }
-}
-
-/// The radiance of samples of emitters that send the same everywhere, without a branch where there are few of them. Which
-/// others there are.
-#[inline(never)]
-fn constant_radiances<P: Float>(
-    theta: &Theta<P>,
-    emitters: &[AnyEmitter],
-    n: usize,
-    lights: &mut Lights<P>,
-) -> ([usize; WAVE_SIZE], usize) {
-    let mut waits = Lane::<u32>::zero();
-    for i in 0..n.min(WAVE_SIZE) {
-        waits[i] = u32::from(lights.pdf[i] > P::zero());
-    }
-    let few = emitters.len() <= FEW;
-    for (index, e) in (0..).zip(emitters).take(FEW) {
-        if few && matches!(e.radiance(), Texture::Constant(_)) && e.scale().is_none() {
-            let radiance: Rgb<P> = e.radiance().rgb(theta, Vec2::zero());
-            for i in 0..whole(n) {
-                let own = lights.emitter[i] == index;
-                let le = Rgb::select(own, radiance * lights.falloff[i], lights.le.rgb(i));
-                lights.le.put_rgb(i, le);
-                waits[i] &= u32::from(!own);
-            }
-        }
-    }
-    let (mut others, mut rest) = ([0; WAVE_SIZE], 0);
-    for i in 0..n.min(WAVE_SIZE) {
-        others[rest % WAVE_SIZE] = i;
-        rest += waits[i] as usize;
-    }
-    (others, rest)
-}
-
-/// Forgets the densities of scattered directions where nothing scattered meets the light that is sampled.
-#[inline(never)]
-fn leave_deltas<P: Float>(emitters: &[AnyEmitter], n: usize, lights: &mut Lights<P>) {
-    // A bit for each of the first emitters.
-    let mut deltas = 0u64;
-    for (index, e) in emitters.iter().enumerate().take(64) {
-        deltas |= u64::from(e.is_delta()) << index;
-    }
-    for i in 0..whole(n) {
-        let index = lights.emitter[i];
-        let delta = (deltas >> (index % 64) & 1 != 0) & (index < 64);
-        lights.pdf_bsdf[i] = P::select(delta, P::zero(), lights.pdf_bsdf[i]);
-    }
-    if emitters.len() > 64 {
-        for i in 0..n.min(WAVE_SIZE) {
-            if emitters[lights.emitter[i] as usize].is_delta() {
-                lights.pdf_bsdf[i] = P::zero();
-            }
         }
     }
 }

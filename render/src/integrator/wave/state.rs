@@ -164,9 +164,7 @@ impl<P: Float> Vertices<P> {
         self.n.put_vec(i, si.frame.n);
         (self.u[i], self.v[i]) = (si.uv.x, si.uv.y);
     }
-}
 
-impl<P: Float> Vertices<P> {
     /// [`Vertices::put`] if `there`, without a branch.
     #[inline(always)]
     pub fn put_if(&mut self, there: bool, i: usize, si: &SurfaceInteraction<P>) {
