@@ -3,8 +3,9 @@
 use ad_core::{Float, Mat2, Vec2, Vec3};
 
 use super::footprint::{Footprint, HalfVectors};
-use super::map::{SlopeMap, cell_of};
+use super::map::{Moments, SlopeMap, cell_of};
 use super::mapped_metal;
+use super::parts::Pixel;
 use super::search::Pick;
 use super::walk::{Root, over_footprint};
 use crate::bsdf::{Bsdf, Shading, TransportMode};
@@ -19,10 +20,16 @@ use crate::shape::SurfaceInteraction;
 
 /// How far half vector and normal may be apart, in slopes, where a scattered direction is a solution: single precision.
 const SAME_SLOPE: f64 = 1e-3;
+/// How many lights tell which parts of a pixel are worth searching.
+const LIGHTS: usize = 4;
 
 /// Light by one reflection.
 #[derive(Clone, Copy, Debug)]
 pub struct Glint {
+    /// The shape.
+    pub shape: u32,
+    /// The primitive.
+    pub prim: u32,
     /// The point, with the texture coordinates of the reflection.
     pub si: SurfaceInteraction<f64>,
     /// To the viewer and to the light, local frame.
@@ -46,10 +53,32 @@ pub struct Finder<'a, P: Float> {
     options: Glints,
     /// Slopes by shape, of the front and of the back.
     maps: Vec<[Option<SlopeMap>; 2]>,
+    glinty: &'a [bool],
+}
+
+/// What a sample of a pixel is drawn by.
+#[derive(Clone, Copy, Debug)]
+pub struct Drawn {
+    /// The point of the full film, drawn by the pixel's filter.
+    pub film: [f64; 2],
+    /// On the lens, uniform in the unit square.
+    pub lens: [f64; 2],
+    /// Uniform numbers for a part of the pixel, and for a point of it, from which that is searched. They have no effect on what
+    /// is searched as a whole: from the point of the sample.
+    pub part: [f64; 3],
 }
 
 /// A point, the directions to the viewer and to the light, local frame, and a weight.
 type Worth = (SurfaceInteraction<f64>, Vec3<f64>, Vec3<f64>, f64);
+
+/// A light that was drawn for a footprint.
+struct Light {
+    emitter: u32,
+    sample: EmitterSample<f64>,
+    /// Density of its direction, and of this emitter's choice.
+    pdf: f64,
+    target: Target,
+}
 
 /// A light for a footprint: where, how densely it is sampled, and the half vectors to it.
 struct Lit<'a> {
@@ -63,7 +92,7 @@ struct Lit<'a> {
 
 impl<'a, P: Float> Finder<'a, P> {
     /// For the shapes of `glinty`, see [`super::glinty_shapes`].
-    pub fn new(scene: &'a Scene, theta: Theta<'a, P>, glinty: &[bool], options: Glints) -> Self {
+    pub fn new(scene: &'a Scene, theta: Theta<'a, P>, glinty: &'a [bool], options: Glints) -> Self {
         let of = |shape: usize| {
             [false, true].map(|behind| {
                 let map = mapped_metal(scene.material(shape as u32), behind);
@@ -76,7 +105,41 @@ impl<'a, P: Float> Finder<'a, P> {
             theta,
             options,
             maps: (0..glinty.len()).map(of).collect(),
+            glinty,
         }
+    }
+
+    /// The pixel whose filter has its middle there on the full film, in as many parts as it takes for footprints to be affine;
+    /// published walks go over all of it, however it curves. `hidden`: whether the camera looks through lamps.
+    pub fn pixel(&self, middle: [f64; 2], hidden: bool) -> Pixel {
+        if self.options.region == GlintRegion::Footprint {
+            return Pixel::whole(&self.scene.film.filter, middle, hidden);
+        }
+        Pixel::new(self.scene, self.glinty, middle, hidden, |foot| {
+            self.fits(foot)
+        })
+    }
+
+    /// How well the slopes in a footprint fit lights: the mean of a few, which are the same for all footprints.
+    fn fits(&self, foot: &Footprint) -> f64 {
+        let Some((map, behind)) = self.slopes(foot) else {
+            return 0.0;
+        };
+        let mut rng = Independent::new(0, 0, 0);
+        let fit = |_| {
+            let light = self.light(foot, &mut rng)?;
+            let halves = foot.half_vectors(map, &light.target, behind)?;
+            let middle = halves.bounds().0;
+            let spread = self.spread(map, &halves, middle, foot.part.half);
+            Some(spread.tailed(halves.half(middle)))
+        };
+        (0..LIGHTS).filter_map(fit).sum()
+    }
+
+    /// What is seen of glinty shapes there.
+    fn seen(&self, pixel: &Pixel, film: [f64; 2], lens: [f64; 2]) -> Option<Footprint> {
+        let foot = Footprint::new(self.scene, film, lens, pixel.middle, pixel.hidden)?;
+        self.glinty[foot.shape as usize].then_some(foot)
     }
 
     /// The slopes of a footprint, and whether they are seen from behind.
@@ -94,28 +157,46 @@ impl<'a, P: Float> Finder<'a, P> {
         )
     }
 
-    /// Adds what a sample finds whose filter weighs it by `sample`: estimates whose mean over samples is the pixel's light from
-    /// this surface over one reflection.
+    /// Adds what a sample of a pixel finds: estimates whose mean over samples is the pixel's light from glinty shapes over one
+    /// reflection.
     /// What walks came to is added to `came_to`. Once `cancelled` says so, which is asked now and then, nothing of it counts.
     pub fn find(
         &self,
-        foot: &Footprint,
-        sample: f64,
+        pixel: &Pixel,
+        view: &Drawn,
         rng: &mut Independent,
         cancelled: &dyn Fn() -> bool,
         came_to: &mut Statistics,
         out: &mut Vec<Glint>,
     ) {
-        if self.options.techniques != GlintTechniques::Walks {
-            self.scatter(foot, sample, out);
+        let offset = [0, 1].map(|k: usize| view.film[k] - pixel.middle[k]);
+        let own =
+            (self.seen(pixel, view.film, view.lens)).map(|foot| foot.within(pixel.around(offset)));
+        if let Some(foot) = &own
+            && self.options.techniques != GlintTechniques::Walks
+        {
+            self.scatter(foot, self.scene.film.filter.weight(offset), out);
         }
-        if self.options.techniques != GlintTechniques::Scattering {
-            self.walk(foot, rng, (&Asking::new(cancelled), came_to), out);
+        if self.options.techniques == GlintTechniques::Scattering {
+            return;
+        }
+        let searched = if pixel.is_whole() {
+            own
+        } else {
+            let [which, x, y] = view.part;
+            let part = pixel.draw(which);
+            let at =
+                |k: usize, u: f64| pixel.middle[k] + part.middle[k] + part.half * (2.0 * u - 1.0);
+            (self.seen(pixel, [at(0, x), at(1, y)], view.lens)).map(|foot| foot.within(part))
+        };
+        if let Some(foot) = searched {
+            self.walk(&foot, rng, (&Asking::new(cancelled), came_to), out);
         }
     }
 
-    /// The weight of walks for a path, of which `q` is the probability that its part of the footprint is searched, `covers`
-    /// the solid angle per pixel, `drawn` the density of its point in the image, and `t` the place of its normal.
+    /// The weight of walks for a path, of which `q` is the probability that its part of the pixel (by the filter alone) and its
+    /// cell are searched, `covers` the solid angle per pixel, `drawn` the density of its point in the image, and `t` the place
+    /// of its normal.
     fn weight(&self, lit: &Lit, t: Vec2<f64>, [q, covers, drawn]: [f64; 3], angle: f64) -> f64 {
         let Some(pdf) = lit
             .pdf
@@ -137,21 +218,21 @@ impl<'a, P: Float> Finder<'a, P> {
         }
     }
 
-    /// Density of the footprint's slopes at the half vector, from moments, if the footprint is about `t`.
+    /// Density of the footprint's slopes at the half vector, from moments, if the footprint is about `t`, and as wide as a square
+    /// pixel.
     fn lobe(&self, lit: &Lit, t: Vec2<f64>) -> f64 {
-        let HalfVectors {
-            texels_per_pixel,
-            half_per_texel,
-            ..
-        } = lit.halves;
-        // As wide as a square pixel.
-        let half = texels_per_pixel
-            .rows
-            .map(|[a, b]| 0.5 * (a.abs() + b.abs()));
-        let per_pixel = half_per_texel * texels_per_pixel;
-        (lit.map.moments(&self.theta, t, half))
-            .spread(&per_pixel, [1.0 / 12.0; 2])
+        self.spread(lit.map, &lit.halves, t, 0.5)
             .density(lit.halves.half(t))
+    }
+
+    /// Moments of slopes less half vectors about `t`, of a square of the image with this half side, in pixels.
+    fn spread(&self, map: &SlopeMap, halves: &HalfVectors, t: Vec2<f64>, half: f64) -> Moments {
+        let texels_per_pixel = halves.texels_per_pixel;
+        let texels = texels_per_pixel
+            .rows
+            .map(|[a, b]| half * (a.abs() + b.abs()));
+        let per_pixel = halves.half_per_texel * texels_per_pixel;
+        (map.moments(&self.theta, t, texels)).spread(&per_pixel, [half * half / 3.0; 2])
     }
 
     /// Scatters a direction and looks for light there.
@@ -195,6 +276,8 @@ impl<'a, P: Float> Finder<'a, P> {
                 _ => 1.0,
             };
             out.push(Glint {
+                shape: foot.shape,
+                prim: foot.prim,
                 si: foot.si.primal(),
                 wo,
                 wi: scattered.wi.map(P::to_f64),
@@ -235,7 +318,7 @@ impl<'a, P: Float> Finder<'a, P> {
                         .1
                 }
                 GlintRegion::Footprint => 1.0,
-            };
+            } * foot.part.by_filter;
             let det = (halves.half_per_texel - derivative).determinant().abs();
             let angle = reflection.slopes_per_angle;
             let covers = covered(&halves.texels_per_pixel, det, angle);
@@ -243,6 +326,30 @@ impl<'a, P: Float> Finder<'a, P> {
             Some(self.weight(&lit, halves.t0, [q, covers, drawn], angle))
         };
         found().unwrap_or(0.0)
+    }
+
+    /// A random light.
+    fn light(&self, foot: &Footprint, rng: &mut Independent) -> Option<Light> {
+        let scene = self.scene;
+        if scene.emitters().is_empty() {
+            return None;
+        }
+        let emitter = scene.shares().choose(rng.next_bits(), 1).0 as u32;
+        let e = &scene.emitters()[emitter as usize];
+        let p = foot.si.p.map(|x| x.re);
+        let sample = e.sample(scene.lights(), p, rng.next_2d::<f64>())?;
+        let pdf = sample.pdf * LightChoice::One.share::<f64>(scene, emitter);
+        let target = if sample.distance.is_finite() && sample.distance < f64::from(f32::MAX) {
+            Target::Point(p + sample.d * sample.distance)
+        } else {
+            Target::Direction(sample.d)
+        };
+        (pdf > 0.0).then_some(Light {
+            emitter,
+            sample,
+            pdf,
+            target,
+        })
     }
 
     /// Samples a light and walks to the normals that reflect it.
@@ -256,25 +363,14 @@ impl<'a, P: Float> Finder<'a, P> {
         let Some((map, behind)) = self.slopes(foot) else {
             return;
         };
-        let scene = self.scene;
-        if scene.emitters().is_empty() {
+        let Some(Light {
+            emitter,
+            sample: light,
+            pdf,
+            target,
+        }) = self.light(foot, rng)
+        else {
             return;
-        }
-        let emitter = scene.shares().choose(rng.next_bits(), 1).0 as u32;
-        let e = &scene.emitters()[emitter as usize];
-        let p = foot.si.p.map(|x| x.re);
-        let Some(light) = e.sample(scene.lights(), p, rng.next_2d::<f64>()) else {
-            return;
-        };
-        let pdf = light.pdf * LightChoice::One.share::<f64>(scene, emitter);
-        let possible = pdf > 0.0;
-        if !possible {
-            return;
-        }
-        let target = if light.distance.is_finite() && light.distance < f64::from(f32::MAX) {
-            Target::Point(p + light.d * light.distance)
-        } else {
-            Target::Direction(light.d)
         };
         let Some(halves) = foot.half_vectors(map, &target, behind) else {
             return;
@@ -283,13 +379,15 @@ impl<'a, P: Float> Finder<'a, P> {
             foot,
             map,
             halves,
-            pdf: (!e.is_delta()).then_some(pdf),
+            pdf: (!self.scene.emitters()[emitter as usize].is_delta()).then_some(pdf),
             behind,
         };
         came_to.attempts += 1;
         let before = out.len();
         self.solve(&lit, pdf, rng, (stops, came_to), |si, wo, wi, weight| {
             out.push(Glint {
+                shape: foot.shape,
+                prim: foot.prim,
                 si,
                 wo,
                 wi,
@@ -335,7 +433,10 @@ impl<'a, P: Float> Finder<'a, P> {
         let (cell, q) = match region {
             GlintRegion::Footprint => (None, 1.0),
             GlintRegion::Texels => match map.choose(&self.theta, &halves, Pick::Random(rng)) {
-                Some((cell, q)) => (Some((cell, map.patch(&self.theta, cell))), q),
+                Some((cell, q)) => {
+                    let patch = map.patch(&self.theta, cell);
+                    (Some((cell, patch)), q * lit.foot.part.share)
+                }
                 None => return,
             },
         };
@@ -388,6 +489,10 @@ impl<'a, P: Float> Finder<'a, P> {
             behind,
             ..
         } = lit;
+        // A cell may reach into other parts.
+        if !halves.contains(root.t) {
+            return None;
+        }
         let off = halves.pixels(root.t);
         let filter = foot.filter.density(foot.offset(off));
         let reflection = foot.reflection(off, halves.half(root.t), *behind)?;
@@ -396,7 +501,8 @@ impl<'a, P: Float> Finder<'a, P> {
         }
         let angle = reflection.slopes_per_angle;
         let covers = covered(&halves.texels_per_pixel, root.det, angle);
-        let share = self.weight(lit, root.t, [q, covers, foot.drawn(off)], angle);
+        let by_filter = q * (foot.part.by_filter / foot.part.share);
+        let share = self.weight(lit, root.t, [by_filter, covers, foot.drawn(off)], angle);
         let weight = share * filter / (q * pdf * covers);
         let uv = foot.si.uv;
         let mut si = foot.si.primal();

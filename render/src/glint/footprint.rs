@@ -3,6 +3,7 @@
 use ad_core::{Dual, Mat2, Vec2, Vec3};
 
 use super::map::SlopeMap;
+use super::parts::Part;
 use crate::camera::PerPixel;
 use crate::film::PixelFilter;
 use crate::manifold::Target;
@@ -14,8 +15,8 @@ use crate::shape::SurfaceInteraction;
 /// Farthest texel coordinates: beyond, cells are not told apart.
 const FARTHEST: f64 = 1e9;
 
-/// A point of a surface as a camera ray sees it, with its derivatives across the image: the footprint of the pixel's filter
-/// around it [Igehy 1999].
+/// A point of a surface as a camera ray sees it, with its derivatives across the image: the footprint of a part of the pixel's
+/// filter around it [Igehy 1999].
 #[derive(Clone, Copy, Debug)]
 pub struct Footprint {
     /// The shape.
@@ -28,6 +29,8 @@ pub struct Footprint {
     pub centre: [f64; 2],
     /// The filter.
     pub filter: PixelFilter,
+    /// The part of it that is searched; all of it, unless it is [`within`](Self::within) another.
+    pub part: Part,
     /// To the viewer, local frame.
     wo: Vec3<PerPixel>,
 }
@@ -87,7 +90,7 @@ impl HalfVectors {
         self.pixels_per_texel * (t - self.t0)
     }
 
-    /// Whether the filter reaches there.
+    /// Whether it is in the footprint.
     pub fn contains(&self, t: Vec2<f64>) -> bool {
         let off = self.pixels(t) - self.centre;
         off.x.abs() <= self.radius && off.y.abs() <= self.radius
@@ -144,14 +147,27 @@ impl Footprint {
         let primal = Ray::<f64>::new(ray.o.map(|x| x.re), ray.d.map(|x| x.re));
         let hit = scene.seen(&primal, hidden)?;
         let found: Intersection<PerPixel> = scene.interaction(&Theta::still(), &ray, &hit);
+        let filter = scene.film.filter;
         Some(Self {
             shape: found.shape,
             prim: found.prim,
             si: found.si,
             centre: [pixel[0] - at[0], pixel[1] - at[1]],
-            filter: scene.film.filter,
+            filter,
+            part: Part {
+                middle: [0.0; 2],
+                half: filter.radius(),
+                share: 1.0,
+                by_filter: 1.0,
+            },
             wo: found.si.frame.to_local(-ray.d),
         })
+    }
+
+    /// The same, where a part of the pixel alone is searched.
+    #[must_use]
+    pub fn within(self, part: Part) -> Self {
+        Self { part, ..self }
     }
 
     /// Slope of the half vector towards a target, from the front; `None` if view and target are on different sides.
@@ -201,8 +217,8 @@ impl Footprint {
             half.map(|x| x.re),
             half_per_pixel,
             texels_per_pixel,
-            self.centre.into(),
-            self.filter.radius(),
+            Vec2::from(self.centre) + Vec2::from(self.part.middle),
+            self.part.half,
         )
     }
 

@@ -40,11 +40,13 @@
 //! # The constraint
 //! Slopes of half vector and normal agree, `h(t) = n(t)` over texel coordinates `t`. The published method takes `h` for a
 //! constant. Here it is affine: ray differentials [Igehy 1999] say how view, light and the surface's own frame turn across the
-//! footprint, so that a flat map on a curved surface is no singular case, and what is left out is of second order in the size
-//! of a pixel. A solution at `t*` brings `h(x*) F L / (p q s)`, with the pixel's filter `h`, the reflectance `F`, the radiance
-//! `L` of a point on a light with density `p` per solid angle, the probability `q` that this part of the footprint is
-//! searched, and the solid angle `s` that a square pixel's reflections cover there: `|det d(h - n)/dx|` over the slopes of half
-//! vectors per solid angle.
+//! footprint, so that a flat map on a curved surface is no singular case. What is left out is of second order in the size of
+//! the footprint: where a surface curves much within a pixel, that is searched in parts ([`Part`]).
+//!
+//! A solution at `t*` brings `h(x*) F L / (p q s)`, with the pixel's filter `h`, the reflectance `F`, the radiance `L` of a point
+//! on a light with density `p` per solid angle, the probability `q` that this part of the pixel and this cell are searched, and
+//! the solid angle `s` that a square pixel's reflections cover there: `|det d(h - n)/dx|` over the slopes of half vectors per
+//! solid angle.
 //!
 //! # Where walks start
 //! In one cell between texels, whose slopes are bilinear. It is drawn down a pyramid of the moments of slopes, those of a MIP map
@@ -67,12 +69,14 @@
 mod find;
 mod footprint;
 mod map;
+mod parts;
 mod search;
 mod walk;
 
-pub use find::{Finder, Glint};
+pub use find::{Drawn, Finder, Glint};
 pub use footprint::Footprint;
 pub use map::{Moments, SlopeMap};
+pub use parts::{Part, Pixel};
 
 use crate::bsdf::nesting::{Microfacets, Specular, facets};
 use crate::bsdf::{Material, NormalMap};

@@ -21,7 +21,7 @@ use crate::bsdf::{Bsdf, Component, DeltaKind, Part, Shading};
 use crate::emitter::Emitter;
 use crate::error::RenderError;
 use crate::estimator::{BsdfOnly, Detached};
-use crate::glint::{Finder, Footprint, Glint};
+use crate::glint::{Drawn, Finder, Glint, Pixel};
 use crate::manifold::{Statistics, cast};
 use crate::math::Rgb;
 use crate::parallel;
@@ -42,77 +42,73 @@ struct Seeking<'a, P: Float> {
     scene: &'a Scene,
     progress: &'a dyn Progress,
     finder: &'a Finder<'a, P>,
-    /// Which shapes have any, by index.
-    glinty: &'a [bool],
     /// Whether the camera looks through lamps.
     hidden: bool,
     points: Points,
     seed: u64,
-    /// Those of the sample.
+    /// The pixel that was sampled last.
+    pixel: Option<([u32; 2], Pixel)>,
+    /// Glints of the sample.
     found: Vec<Glint>,
     /// What walks came to so far.
     came_to: Statistics,
 }
 
-/// What finds the glints of a pass, and on which shapes; `None` where glints are not looked for.
-fn finder<'a, R: Real>(pass: &'a Pass<'a, R>) -> Option<(Finder<'a, R::Primal>, &'a [bool])> {
+/// What finds the glints of a pass; `None` where glints are not looked for.
+fn finder<'a, R: Real>(pass: &'a Pass<'a, R>) -> Option<Finder<'a, R::Primal>> {
     let (split, options) = (pass.split.as_deref()?, pass.settings.glints?);
     let glinty = split.glinty();
     let theta = pass.theta.primal();
-    (!glinty.is_empty()).then(|| (Finder::new(pass.scene, theta, glinty, options), glinty))
+    (!glinty.is_empty()).then(|| Finder::new(pass.scene, theta, glinty, options))
 }
 
 impl<'a, P: Float> Seeking<'a, P> {
-    fn new<R: Real<Primal = P>>(
-        pass: &Pass<'a, R>,
-        (finder, glinty): &'a (Finder<'a, P>, &'a [bool]),
-    ) -> Self {
+    fn new<R: Real<Primal = P>>(pass: &Pass<'a, R>, finder: &'a Finder<'a, P>) -> Self {
         Self {
             scene: pass.scene,
             progress: pass.progress,
             finder,
-            glinty,
             hidden: pass.settings.hides(1),
             points: pass.settings.points,
             seed: pass.seed,
+            pixel: None,
             found: Vec::new(),
             came_to: Statistics::default(),
         }
     }
 
-    /// Finds the glints of a sample. The shape and the primitive that they are on.
-    fn seek<X: Sampler>(&mut self, sample: &Sample) -> Option<(u32, u32)> {
+    /// Finds the glints of a sample.
+    fn seek<X: Sampler>(&mut self, sample: &Sample) {
         let (scene, seed) = (self.scene, Family::Glints.seed(self.seed));
         self.found.clear();
-        let (seen, _) = spot::<P, X>(scene, self.points, seed, sample.pixel, sample.index);
-        let film = &scene.film;
-        let (on_film, pixel) = film.full_pixel(sample.pixel);
-        let [at, lens] = [seen.film, seen.lens].map(|x| x.map(P::to_f64));
-        let middle = on_film.map(|p| f64::from(p) + 0.5);
-        let foot = Footprint::new(scene, at, lens, middle, self.hidden)?;
-        if !self.glinty[foot.shape as usize] {
-            return None;
-        }
-        let mut rng = Independent::new(seed, pixel, sample.index);
-        // A weight of its own: the point is not that of the paths.
-        let offset = [0, 1].map(|k: usize| at[k] - middle[k]);
-        let weight = film.filter.weight(offset);
+        let (seen, mut numbers) =
+            spot::<P, X>(scene, self.points, seed, sample.pixel, sample.index);
+        let (on_film, number) = scene.film.full_pixel(sample.pixel);
+        let known = self.pixel.take().filter(|(at, _)| *at == on_film);
+        let (_, pixel) = self.pixel.insert(known.unwrap_or_else(|| {
+            let middle = on_film.map(|p| f64::from(p) + 0.5);
+            (on_film, self.finder.pixel(middle, self.hidden))
+        }));
+        // Weights are those of a point that is not that of the paths.
+        let [film, lens] = [seen.film, seen.lens].map(|x| x.map(P::to_f64));
+        let part = numbers.next_3d::<f64>();
+        let view = Drawn { film, lens, part };
+        let mut rng = Independent::new(seed, number, sample.index);
         let progress = self.progress;
         let cancelled = || progress.cancelled();
         let (came_to, found) = (&mut self.came_to, &mut self.found);
-        (self.finder).find(&foot, weight, &mut rng, &cancelled, came_to, found);
-        Some((foot.shape, foot.prim))
+        (self.finder).find(pixel, &view, &mut rng, &cancelled, came_to, found);
     }
 }
 
 /// What the material at a glint makes of light.
-fn reflectance<R: Real>(scene: &Scene, pass: &Pass<R>, shape: u32, glint: &Glint) -> Rgb<R> {
+fn reflectance<R: Real>(scene: &Scene, pass: &Pass<R>, glint: &Glint) -> Rgb<R> {
     let at = Shading::new(
         *pass.theta,
         Vec2::new(R::of(glint.si.uv.x), R::of(glint.si.uv.y)),
     );
     let (wo, wi) = (vector(glint.wo), vector(glint.wi));
-    let material = scene.material(shape);
+    let material = scene.material(glint.shape);
     material.eval_delta(&at, wo, wi, DeltaKind::Reflection, 0, MODE)
 }
 
@@ -135,14 +131,15 @@ pub(super) fn image<R: Components, X: Sampler>(pass: &Pass<R>) -> Rendering {
             if progress.cancelled() {
                 return ((Vec::new(), NonFinite::default()), seeking.came_to);
             }
-            let Some((shape, _)) = seeking.seek::<X>(&sample) else {
+            seeking.seek::<X>(&sample);
+            if seeking.found.is_empty() {
                 continue;
-            };
+            }
             let mut l = Rgb::<R>::black();
             for glint in &seeking.found {
                 let e = &scene.emitters()[glint.emitter as usize];
                 let le = e.eval(pass.theta, &emission(&glint.emission));
-                l += reflectance(scene, pass, shape, glint) * le * R::of(glint.weight);
+                l += reflectance(scene, pass, glint) * le * R::of(glint.weight);
             }
             if !l.is_finite() {
                 non_finite.add(place(scene, sample.pixel) as u64, sample.index);
@@ -163,22 +160,16 @@ pub(super) fn image<R: Components, X: Sampler>(pass: &Pass<R>) -> Rendering {
 type Scattering = BsdfOnly<Detached>;
 
 /// A glint as a record of its path.
-fn recorded<P: Float>(
-    scene: &Scene,
-    pass: &Pass<P>,
-    on: (u32, u32),
-    glint: &Glint,
-) -> PathRecord<P> {
-    let (shape, prim) = on;
+fn recorded<P: Float>(scene: &Scene, pass: &Pass<P>, glint: &Glint) -> PathRecord<P> {
     let mut path = PathRecord::default();
     let at = Place {
-        shape,
-        prim,
+        shape: glint.shape,
+        prim: glint.prim,
         si: cast(&glint.si),
         wo: vector(glint.wo),
     };
     path.vertex(Rgb::splat(P::one()), &at);
-    let f = reflectance(scene, pass, shape, glint);
+    let f = reflectance(scene, pass, glint);
     let weight = P::of(glint.weight);
     path.contribution(Contribution::Scattered(Bounce {
         wi: vector(glint.wi),
@@ -225,13 +216,11 @@ pub(super) fn gradient<P: Float, X: Sampler>(
                 if pass.progress.cancelled() {
                     break;
                 }
-                let Some(on) = seeking.seek::<X>(&sample) else {
-                    continue;
-                };
+                seeking.seek::<X>(&sample);
                 let d = sample.of_image::<P>(adjoint, scene) * P::of(1.0 / sample.count as f64);
                 let mut l = Rgb::black();
                 for glint in &seeking.found {
-                    let path = recorded(scene, pass, on, glint);
+                    let path = recorded(scene, pass, glint);
                     let recorder = Recorder { active, path };
                     l += recorder.backward::<Scattering>(scene, pass.theta, d, &mut sink);
                 }

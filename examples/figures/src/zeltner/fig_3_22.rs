@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use render::Scene;
 use render::bsdf::{Bsdf, DeltaKind, Shading, TransportMode};
 use render::emitter::Emitter;
-use render::glint::{Finder, Footprint, SlopeMap, glinty_shapes, mapped_metal};
+use render::glint::{Drawn, Finder, SlopeMap, glinty_shapes, mapped_metal};
 use render::manifold::Statistics;
 use render::params::Theta;
 use render::sampler::{Independent, Sampler};
@@ -82,15 +82,18 @@ fn samples(
         let [u, v] = rng.next_2d::<f64>();
         let at = [middle[0] + u - 0.5, middle[1] + v - 0.5];
         let mut found = Found::default();
-        let Some(foot) = Footprint::new(scene, at, [0.5; 2], middle, false) else {
-            return found;
+        let view = Drawn {
+            film: at,
+            lens: [0.5; 2],
+            part: rng.next_3d(),
         };
         let mut all = Vec::new();
         let mut came_to = Statistics::default();
-        finder.find(&foot, 1.0, &mut rng, &|| false, &mut came_to, &mut all);
+        let pixel = finder.pixel(middle, false);
+        finder.find(&pixel, &view, &mut rng, &|| false, &mut came_to, &mut all);
         for glint in all {
             let at = Shading::new(theta, glint.si.uv);
-            let material = scene.material(foot.shape);
+            let material = scene.material(glint.shape);
             let f = material.eval_delta(
                 &at,
                 glint.wo,
