@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use render::Scene;
 use render::bsdf::{Bsdf, DeltaKind, Shading, TransportMode};
 use render::emitter::Emitter;
-use render::glint::{Drawn, Finder, SlopeMap, glinty_shapes, mapped_metal};
+use render::glint::{Drawn, Finder, Pixel, SlopeMap, glinty_shapes, mapped_metal};
 use render::manifold::Statistics;
 use render::params::Theta;
 use render::sampler::{Independent, Sampler};
@@ -76,9 +76,9 @@ fn samples(
     let metal = mapped_metal(scene.material(0), false).ok_or("no normal map")?;
     let map = SlopeMap::new(metal, &theta).ok_or("a map that is no image")?;
     let [width, height] = scene.film.size;
-    let sample = |pixel: u64, index: u64| {
-        let mut rng = Independent::new(seed, pixel, index);
-        let middle = [pixel % u64::from(width), pixel / u64::from(width)].map(|p| p as f64 + 0.5);
+    let sample = |number: u64, pixel: &Pixel, index: u64| {
+        let mut rng = Independent::new(seed, number, index);
+        let middle = pixel.middle;
         let [u, v] = rng.next_2d::<f64>();
         let at = [middle[0] + u - 0.5, middle[1] + v - 0.5];
         let mut found = Found::default();
@@ -89,8 +89,7 @@ fn samples(
         };
         let mut all = Vec::new();
         let mut came_to = Statistics::default();
-        let pixel = finder.pixel(middle, false);
-        finder.find(&pixel, &view, &mut rng, &|| false, &mut came_to, &mut all);
+        finder.find(pixel, &view, &mut rng, &|| false, &mut came_to, &mut all);
         for glint in all {
             let at = Shading::new(theta, glint.si.uv);
             let material = scene.material(glint.shape);
@@ -114,10 +113,12 @@ fn samples(
         found
     };
     let pixels = u64::from(width) * u64::from(height);
-    Ok((0..pixels)
-        .into_par_iter()
-        .map(|p| (0..spp).map(|i| sample(p, i)).collect())
-        .collect())
+    let of_pixel = |p: u64| {
+        let middle = [p % u64::from(width), p / u64::from(width)].map(|p| p as f64 + 0.5);
+        let pixel = finder.pixel(middle, false);
+        (0..spp).map(|i| sample(p, &pixel, i)).collect()
+    };
+    Ok((0..pixels).into_par_iter().map(of_pixel).collect())
 }
 
 /// Mean over pixels of the variance of a sample.
