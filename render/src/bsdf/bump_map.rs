@@ -53,6 +53,11 @@ impl BumpMap {
     pub fn height(&self) -> &ScalarTexture {
         &self.tilt.height
     }
+
+    /// What they are multiplied with.
+    pub(crate) fn scale(&self) -> &ScalarTexture {
+        &self.tilt.scale
+    }
 }
 
 /// The slope of the unscaled heights along u and v.
@@ -108,11 +113,11 @@ impl BumpMap {
         &self,
         at: &Shading<P>,
         heights: &Footprint<[P; 2]>,
-        scale: impl FnOnce(&ScalarTexture) -> P,
+        scale: P,
         wo: Vec3<P>,
     ) -> Vec3<P> {
         let slope = slope_between(&at.theta, heights);
-        let v = self.tilt.vector_of(at, slope, scale(&self.tilt.scale));
+        let v = self.tilt.vector_of(at, slope, scale);
         self.seen(v, wo, TransportMode::Radiance)
     }
 }

@@ -561,9 +561,9 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                 }
                 _ if self.reads_images[info.material as usize] => self.imaged.push(i),
                 _ => {
-                    let reading = Reading::new(Shading::new(*theta, self.at.uv(i)));
+                    let read = &mut Reading::new(Shading::new(*theta, self.at.uv(i)));
                     let (at, d) = (&self.at, paths.d.vec(i));
-                    let taken = (self.kinds).take(i, material, reading, &|| at.seen_along(i, d));
+                    let taken = (self.kinds).take(i, material, read, &|| at.seen_along(i, d));
                     self.at.sorted[i] = u32::from(taken);
                 }
             }
@@ -603,10 +603,10 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             let visit = |f: &mut dyn FnMut(TextureRef)| visit_textures(material, f);
             self.readings.look(theta, &visit, n, [&u, &v]);
             for (k, &i) in alike[..n].iter().enumerate() {
-                let reading = self.readings.at(Shading::new(*theta, at.uv(i)), k);
+                let read = &mut self.readings.at(Shading::new(*theta, at.uv(i)), k);
                 let (vertices, d) = (&*at, paths.d.vec(i));
                 let wo = || vertices.seen_along(i, d);
-                let taken = (self.kinds).take(i, material, reading, &wo);
+                let taken = (self.kinds).take(i, material, read, &wo);
                 at.sorted[i] = u32::from(taken);
             }
         }

@@ -9,6 +9,9 @@ use crate::math::Rgb;
 use crate::params::Theta;
 use crate::texture::{Bitmap, Footprint, RgbTexture, ScalarTexture, Texture};
 
+/// Calls a function with one texture after the other.
+type Visit<'a> = dyn Fn(&mut dyn FnMut(TextureRef)) + 'a;
+
 /// The image that is read, if its lookups can be found in vectors, and its channels.
 #[inline(always)]
 fn image_of(texture: TextureRef<'_>) -> Option<(&Bitmap, usize)> {
@@ -50,13 +53,7 @@ impl<P: Float> Readings<P> {
     /// Looks up all images of a material at the first `n` places. `visit` visits its textures, in the order in which they will
     /// be read.
     #[inline(never)]
-    pub fn look(
-        &mut self,
-        theta: &Theta<P>,
-        visit: &dyn Fn(&mut dyn FnMut(TextureRef)),
-        n: usize,
-        [u, v]: [&Lane<P>; 2],
-    ) {
+    pub fn look(&mut self, theta: &Theta<P>, visit: &Visit, n: usize, [u, v]: [&Lane<P>; 2]) {
         self.used = 0;
         visit(&mut |t| {
             let Some((image, channels)) = image_of(t) else {

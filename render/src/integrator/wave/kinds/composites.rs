@@ -67,8 +67,9 @@ impl<'a, P: Float> Mixture<'a, P> {
                 tilted(m.nested(), tilt)
             }
             Material::BumpMap(m) => {
-                let (at, heights) = (read.at, read.slopes(m.height()));
-                let vector = m.vector_between(&at, &heights, |scale| read.scalar(scale), wo);
+                let heights = read.slopes(m.height());
+                let scale = read.scalar(m.scale());
+                let vector = m.vector_between(&read.at, &heights, scale, wo);
                 let tilt = Tilt(vector, m.corrections().shadowing);
                 tilted(m.nested(), tilt)
             }
@@ -303,7 +304,7 @@ impl<P: Float> Composites<P> {
         &mut self,
         i: usize,
         material: &'a Material,
-        mut read: Reading<'a, P>,
+        read: &mut Reading<'a, P>,
         wo: Vec3<P>,
     ) -> bool {
         let material = match material {
@@ -321,7 +322,7 @@ impl<P: Float> Composites<P> {
             }
             _ => (material, P::one()),
         };
-        let Some(mixture) = Mixture::of(material, &mut read, seen_from(turn, wo)) else {
+        let Some(mixture) = Mixture::of(material, read, seen_from(turn, wo)) else {
             return false;
         };
         let k = self.paths.len() % WAVE_SIZE;
@@ -332,7 +333,7 @@ impl<P: Float> Composites<P> {
         let mut both = [0; 2];
         for side in 0..2 {
             if let Some((leaf, same)) = mixture.parts[side].and_then(leaf) {
-                self.parts[side].take(k, leaf, &mut read);
+                self.parts[side].take(k, leaf, read);
                 both[side] = u32::from(same);
             }
         }

@@ -440,14 +440,14 @@ impl<P: Float> Kinds<P> {
         &mut self,
         i: usize,
         material: &'a Material,
-        mut read: Reading<'a, P>,
+        read: &mut Reading<'a, P>,
         wo: &dyn Fn() -> Vec3<P>,
     ) -> bool {
         if composites::may_be_one(material) {
             let composites = self.composites.get_or_insert_with(Default::default);
             return composites.take(i, material, read, wo());
         }
-        self.leaves.take(i, material, &mut read)
+        self.leaves.take(i, material, read)
     }
 
     /// Values and densities of directions to lights.
