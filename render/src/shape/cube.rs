@@ -48,24 +48,7 @@ impl Cube {
         area.is_finite().then_some(Self { faces, area })
     }
 
-    /// The face that a number in [0, 1) chooses, by its part of the area, and where in that part the number is, from 0 to 1.
-    #[inline(always)]
-    pub(crate) fn draw_face<P: Float>(&self, u: P) -> (u32, P) {
-        let mut rest = u.to_f64() * self.area;
-        let (mut area, mut prim, mut found) = (self.faces[0].area(), 0, false);
-        // Without a branch: nothing foresees which face it is.
-        for k in 0..6 {
-            let next = self.faces[k].area();
-            area = if found { area } else { next };
-            prim = if found { prim } else { k as u32 };
-            found |= rest < area;
-            rest -= if found { 0.0 } else { area };
-        }
-        (prim, P::of((rest / area).clamp(0.0, 1.0)))
-    }
-
     /// Its six faces.
-    #[inline]
     pub(crate) fn faces(&self) -> &[Patch; 6] {
         &self.faces
     }
@@ -142,11 +125,20 @@ impl Shape for Cube {
     }
 
     fn sample_area<R: Real>(&self, _theta: &Theta<R>, u: [R::Primal; 2]) -> ShapeSample<R> {
-        let (prim, reused) = self.draw_face(u[0]);
+        let mut rest = u[0].to_f64() * self.area;
+        let (mut face, mut prim) = (&self.faces[0], 0);
+        for (f, k) in self.faces.iter().zip(0..) {
+            (face, prim) = (f, k);
+            if rest < f.area() {
+                break;
+            }
+            rest -= f.area();
+        }
+        let reused = R::Primal::of((rest / face.area()).clamp(0.0, 1.0));
         ShapeSample {
             pdf: R::Primal::of(1.0 / self.area),
             prim,
-            ..self.faces[prim as usize].sample_area([reused, u[1]])
+            ..face.sample_area([reused, u[1]])
         }
     }
 

@@ -76,12 +76,6 @@ impl Patch {
         lift3(self.frame.n.to_array())
     }
 
-    /// The same in the digits of its points.
-    #[inline(always)]
-    pub(crate) fn unit_normal<P: Float>(&self) -> Vec3<P> {
-        lift3(self.frame.n.to_array())
-    }
-
     /// Its middle, world space.
     pub fn centroid(&self) -> [f64; 3] {
         let [corner, e1, e2] = [self.corner, self.e1, self.e2].map(lift3::<f64>);

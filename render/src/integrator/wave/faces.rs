@@ -6,7 +6,7 @@ use super::lanes::{Field, Lane, Lanes, lanes, whole};
 use super::state::Vertices;
 use crate::accel::Hit;
 use crate::math::Frame;
-use crate::shape::{Patch, SurfaceInLine, SurfaceInteraction, Triangle, lift3};
+use crate::shape::{SurfaceInLine, SurfaceInteraction, Triangle};
 
 lanes! {
     /// What triangles are made of, and where a point on them is.
@@ -100,16 +100,6 @@ impl<P: Float> Corners<P> {
             (self.v0_uv[i], self.v1_uv[i], self.v2_uv[i]) = (a[1], b[1], c[1]);
         }
         self.flip[i] = u32::from(triangle.flip);
-    }
-
-    /// The `i`-th is a parallelogram, with coordinates in units of its edges.
-    #[inline(always)]
-    pub fn put_patch(&mut self, i: usize, patch: &Patch) {
-        self.v0.put_vec(i, lift3(patch.corner));
-        self.e1.put_vec(i, lift3(patch.e1));
-        self.e2.put_vec(i, lift3(patch.e2));
-        self.flat.put_vec(i, patch.unit_normal());
-        (self.smooth[i], self.mapped[i], self.flip[i]) = (0, 0, 0);
     }
 
     /// The coordinates of the point on the `i`-th.

@@ -1,26 +1,26 @@
-//! Points drawn on lamps that are made of pieces: on triangles of meshes and faces of cubes.
+//! Points drawn on meshes that emit.
 
-use ad_core::{Float, Vec2, Vec3};
+use ad_core::{Float, Vec3};
 
 use super::faces::Corners;
 use super::lanes::{Field, Lane, WAVE_SIZE, whole};
 use crate::math::warp;
 use crate::scene::Scene;
-use crate::shape::{Cube, Mesh, Shape, ShapeSample, SurfaceCoordinates};
+use crate::shape::{Mesh, Shape, ShapeSample, SurfaceCoordinates};
 
-/// Pieces that were chosen, and points on them.
-pub struct Pieces<P> {
+/// Triangles that were chosen, and points on them.
+pub struct FacesOfLamps<P> {
     /// Made when there are any.
     corners: Option<Box<Corners<P>>>,
     surface: Lane<u32>,
     right: Lane<u32>,
-    /// Where in its part of all areas the number is that chose the piece.
+    /// Where in its part of all areas the number is that chose the triangle.
     reused: Lane<P>,
     /// Density per area.
     pdf: P,
 }
 
-impl<P: Float> Pieces<P> {
+impl<P: Float> FacesOfLamps<P> {
     /// None.
     pub fn new() -> Self {
         Self {
@@ -38,31 +38,23 @@ impl<P: Float> Pieces<P> {
         self.surface[k]
     }
 
-    #[inline(always)]
-    fn begin(&mut self, area: f64) -> &mut Corners<P> {
-        self.right = [1; WAVE_SIZE];
-        self.pdf = P::of(1.0 / area);
-        (self.corners).get_or_insert_with(|| Box::new(Corners::zero()))
-    }
-
     /// Points on a mesh, made of two random numbers each: triangles are chosen and looked up one by one.
     #[inline(never)]
-    pub fn of_mesh(
+    pub fn draw(
         &mut self,
         scene: &Scene,
         (mesh, shape): (&Mesh, u32),
         n: usize,
         [a, b]: [&Lane<P>; 2],
     ) {
-        self.begin(mesh.area());
+        self.right = [1; WAVE_SIZE];
+        self.pdf = P::of(1.0 / mesh.area());
+        let corners = &mut **(self.corners).get_or_insert_with(|| Box::new(Corners::zero()));
         let mut chosen = [0; WAVE_SIZE];
         for k in 0..n.min(WAVE_SIZE) {
             (chosen[k], self.reused[k]) = mesh.draw_triangle(a[k]);
             mesh.fetch(chosen[k]);
         }
-        let Some(corners) = &mut self.corners else {
-            return;
-        };
         for k in 0..n.min(WAVE_SIZE) {
             corners.put(k, &mesh.triangle(chosen[k]));
             corners.met[k] = 1;
@@ -74,29 +66,7 @@ impl<P: Float> Pieces<P> {
         corners.find_normals(n, &mut self.right);
     }
 
-    /// Points on a cube.
-    #[inline(never)]
-    pub fn of_cube(
-        &mut self,
-        scene: &Scene,
-        (cube, shape): (&Cube, u32),
-        n: usize,
-        [a, b]: [&Lane<P>; 2],
-    ) {
-        let corners = self.begin(cube.area());
-        let mut faces = [0; WAVE_SIZE];
-        for k in 0..n.min(WAVE_SIZE) {
-            let (face, reused) = cube.draw_face(a[k]);
-            corners.put_patch(k, &cube.faces()[face as usize]);
-            corners.put_place(k, Vec2::new(reused, b[k]));
-            faces[k] = face;
-        }
-        for k in 0..n.min(WAVE_SIZE) {
-            self.surface[k] = scene.lights().surface(shape, faces[k]);
-        }
-    }
-
-    /// The `k`-th point, the normal of its piece, and whether they are right.
+    /// The `k`-th point, the normal of its triangle, and whether they are right.
     #[inline(always)]
     pub fn sample(&self, corners: &Corners<P>, k: usize) -> (ShapeSample<P>, Vec3<P>, bool) {
         let (p, [n, _], uv, right) = corners.point(k);

@@ -2,7 +2,7 @@
 
 use ad_core::{Float, Vec2, Vec3};
 
-use super::lamps::Pieces;
+use super::lamps::FacesOfLamps;
 use super::lanes::{Field, Lane, Lanes, WAVE_SIZE, lanes, whole};
 use super::lookups::{Lookups, image};
 use super::state::Lights;
@@ -15,7 +15,7 @@ use crate::integrator::vertex::light::{Met, counts_hits, has_rival, may_have_riv
 use crate::math::{NOWHERE, Rgb};
 use crate::params::Theta;
 use crate::scene::Scene;
-use crate::shape::{AnyShape, Cube, Cylinder, Disk, Mesh, Rectangle, Shape, sample_cone};
+use crate::shape::{AnyShape, Cylinder, Disk, Mesh, Rectangle, Shape, sample_cone};
 use crate::texture::Texture;
 
 /// Emitters beyond so many are sampled one by one: few paths of a wave meet at one of them.
@@ -40,8 +40,6 @@ pub enum Together<'a> {
     Disk(Disk, u32),
     /// A tube, and its surface.
     Cylinder(Cylinder, u32),
-    /// A cube, and its shape.
-    Cube(&'a Cube, u32),
     /// A mesh, and its shape.
     Mesh(&'a Mesh, u32),
     /// A projector: where it is, and its image.
@@ -70,7 +68,6 @@ pub fn together<'a>(scene: &'a Scene, emitter: &'a AnyEmitter) -> Option<Togethe
                 AnyShape::Rectangle(rectangle) => Together::Rectangle(*rectangle, surface()),
                 AnyShape::Disk(disk) => Together::Disk(*disk, surface()),
                 AnyShape::Cylinder(cylinder) => Together::Cylinder(*cylinder, surface()),
-                AnyShape::Cube(cube) => Together::Cube(cube, area.shape),
                 AnyShape::Mesh(mesh) => Together::Mesh(mesh, area.shape),
                 _ => {
                     let (center, radius) = even_ball(scene, area)?;
@@ -103,7 +100,7 @@ impl Together<'_> {
     /// Whether something is looked up for each of its samples: then, only the paths that have chosen it are sampled.
     #[inline(always)]
     pub fn looks_up(&self) -> bool {
-        matches!(self, Self::Envmap(_) | Self::Cube(..) | Self::Mesh(..))
+        matches!(self, Self::Envmap(_) | Self::Mesh(..))
     }
 
     /// Whether it takes less time to gather the paths that have chosen it than to sample it path by path.
@@ -167,7 +164,7 @@ pub struct Group<P> {
     numbers: [Lane<P>; 2],
     samples: Box<Samples<P>>,
     draws: Box<Draws>,
-    pieces: Pieces<P>,
+    faces: FacesOfLamps<P>,
 }
 
 /// How samples of an environment map come about.
@@ -193,7 +190,7 @@ impl<P: Float> Group<P> {
             numbers: [Lane::zero(); 2],
             samples: Box::new(Samples::zero()),
             draws: Box::new(Draws::zero()),
-            pieces: Pieces::new(),
+            faces: FacesOfLamps::new(),
         }
     }
 
@@ -216,33 +213,27 @@ impl<P: Float> Group<P> {
             (self.numbers[0][k], self.numbers[1][k]) = (a[i], b[i]);
         }
         let [a, b] = &self.numbers;
-        let mut pieces = false;
         let mut surface = NOWHERE;
+        let mut on_mesh = false;
         match emitter {
             Together::Envmap(e) => {
                 self.draws.find(e, n, [a, b]);
                 self.samples.of_envmap(e, n, &self.draws, a);
             }
             Together::Mesh(mesh, shape) => {
-                self.pieces.of_mesh(scene, (mesh, shape), n, [a, b]);
-                pieces = true;
-            }
-            Together::Cube(cube, shape) => {
-                self.pieces.of_cube(scene, (cube, shape), n, [a, b]);
-                pieces = true;
+                self.faces.draw(scene, (mesh, shape), n, [a, b]);
+                self.samples.of_faces(&self.faces, n, &at);
+                on_mesh = true;
             }
             _ => surface = self.samples.find(scene, emitter, n, &at, [a, b]),
-        }
-        if pieces {
-            self.samples.of_pieces(&self.pieces, n, &at);
         }
         let s = &*self.samples;
         for (k, &i) in self.paths.iter().enumerate() {
             let k = k % WAVE_SIZE;
             let pdf = s.pdf[k];
             let sample = EmitterSample {
-                surface: if pieces {
-                    self.pieces.surface(k)
+                surface: if on_mesh {
+                    self.faces.surface(k)
                 } else {
                     surface
                 },
@@ -338,9 +329,7 @@ impl<P: Float> Samples<P> {
                 self.of_all(&sample.unwrap_or(nothing()), n);
             }
             Together::Constant(e) => self.of_sky(e, n, scene, numbers),
-            Together::Envmap(_) | Together::Cube(..) | Together::Mesh(..) => {
-                self.right = Lane::zero();
-            }
+            Together::Envmap(_) | Together::Mesh(..) => self.right = Lane::zero(),
         }
         NOWHERE
     }
@@ -398,12 +387,12 @@ impl<P: Float> Samples<P> {
     }
 
     #[inline(never)]
-    fn of_pieces(&mut self, pieces: &Pieces<P>, n: usize, p: &Lanes<P>) {
-        let Some(corners) = pieces.corners() else {
+    fn of_faces(&mut self, faces: &FacesOfLamps<P>, n: usize, p: &Lanes<P>) {
+        let Some(corners) = faces.corners() else {
             return;
         };
         for k in 0..whole(n) {
-            let (s, flat, right) = pieces.sample(corners, k);
+            let (s, flat, right) = faces.sample(corners, k);
             let seen = s.seen_in_line(p.vec(k), flat);
             self.put(k, &Area::facing_in_line(NOWHERE, seen));
             self.right[k] = u32::from(right);
