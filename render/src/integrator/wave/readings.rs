@@ -9,6 +9,9 @@ use crate::math::Rgb;
 use crate::params::Theta;
 use crate::texture::{Bitmap, Footprint, RgbTexture, ScalarTexture, Texture};
 
+/// Fewer places are looked up one by one: to visit the textures would take longer.
+const FEWEST: usize = 8;
+
 /// Calls a function with one texture after the other.
 type Visit<'a> = dyn Fn(&mut dyn FnMut(TextureRef)) + 'a;
 
@@ -55,6 +58,9 @@ impl<P: Float> Readings<P> {
     #[inline(never)]
     pub fn look(&mut self, theta: &Theta<P>, visit: &Visit, n: usize, [u, v]: [&Lane<P>; 2]) {
         self.used = 0;
+        if n < FEWEST {
+            return;
+        }
         visit(&mut |t| {
             let Some((image, channels)) = image_of(t) else {
                 return;
