@@ -159,6 +159,273 @@ fn beacons(name: &'static str, more: usize) -> Case {
     Case { name, body }
 }
 
+/// A picture of sums of sines in a folder.
+fn picture(
+    folder: &Path,
+    name: &str,
+    [width, height]: [usize; 2],
+    value: fn(usize) -> f32,
+) -> String {
+    let data = (0..3 * width * height).map(value).collect();
+    let path = folder.join(name);
+    let image = Image {
+        width,
+        height,
+        data,
+    };
+    write_exr(&path, &image).expect("a folder to write to");
+    path.display().to_string()
+}
+
+/// Shapes that emit, even and with pictures: meshes with and without normals, cubes, disks and tubes, seen from outside and
+/// from within.
+fn lanterns(folder: &Path) -> Vec<String> {
+    let mesh = folder.join("tent.obj");
+    std::fs::write(&mesh, TENT).unwrap();
+    let glow = picture(folder, "glow.exr", [8, 5], |i| {
+        4.0 + 3.0 * (0.7 * i as f32).sin()
+    });
+    let print = format!(
+        r#"<texture type="bitmap" name="radiance"><string name="filename" value="{glow}"/></texture>"#
+    );
+    let even = r#"<rgb name="radiance" value="5, 4, 3"/>"#;
+    let lamp = |shape: &str, more: &str, radiance: &str| {
+        format!(r#"<shape type="{shape}">{more}<emitter type="area">{radiance}</emitter></shape>"#)
+    };
+    let placed = |scale: f64, at: &str| {
+        format!(r#"<transform name="to_world"><scale value="{scale}"/>{at}</transform>"#)
+    };
+    let file = format!(r#"<string name="filename" value="{}"/>"#, mesh.display());
+    let flat = r#"<boolean name="face_normals" value="true"/>"#;
+    let turned = r#"<boolean name="flip_normals" value="true"/>"#;
+    let tent = |scale, at: &str, more: &str| format!("{file}{more}{}", placed(scale, at));
+    let tube = |a: &str, b: &str, radius: f64, more: &str| {
+        format!(
+            r#"<point name="p0" value="{a}"/><point name="p1" value="{b}"/><float name="radius" value="{radius}"/>{more}"#
+        )
+    };
+    let down = r#"<rotate x="1" angle="80"/>"#;
+    vec![
+        lamp(
+            "obj",
+            &tent(0.4, r#"<translate x="-0.8" y="1"/>"#, ""),
+            &print,
+        ),
+        lamp(
+            "obj",
+            &tent(0.3, r#"<translate x="0.9" y="1.2"/>"#, flat),
+            even,
+        ),
+        lamp("obj", &tent(-0.3, r#"<translate y="1.4"/>"#, turned), even),
+        lamp(
+            "cube",
+            &placed(
+                0.1,
+                r#"<rotate x="1" y="1" angle="40"/><translate x="-0.4" y="1.1"/>"#,
+            ),
+            &print,
+        ),
+        lamp(
+            "disk",
+            &placed(0.3, &format!(r#"{down}<translate x="0.4" y="1.3"/>"#)),
+            &print,
+        ),
+        lamp(
+            "disk",
+            &placed(0.2, &format!(r#"{down}<translate x="-1" y="1.5"/>"#)),
+            even,
+        ),
+        lamp(
+            "cylinder",
+            &tube("-0.5, 0.9, 0.8", "0.3, 1, 0.7", 0.06, ""),
+            even,
+        ),
+        // It is around everything, and the other one open to the viewer.
+        lamp(
+            "cylinder",
+            &tube("0, -1, 0", "0, 5, 0", 9.0, turned),
+            &print,
+        ),
+        lamp(
+            "cylinder",
+            &tube("1.1, 0, 0", "1.1, 0.3, 0.1", 0.3, turned),
+            even,
+        ),
+    ]
+}
+
+/// Lights without a surface that throw pictures, and lobes around everything.
+fn throwers(folder: &Path) -> Vec<String> {
+    let slide = picture(folder, "slide.exr", [6, 7], |i| {
+        3.0 + 2.0 * (1.1 * i as f32).sin()
+    });
+    let image = |name: &str| {
+        format!(
+            r#"<texture type="bitmap" name="{name}"><string name="filename" value="{slide}"/></texture>"#
+        )
+    };
+    let from = |at: &str| {
+        format!(
+            r#"<transform name="to_world"><lookat origin="{at}" target="0, 0, 0" up="0, 1, 0.1"/></transform>"#
+        )
+    };
+    let (irradiance, texture) = (image("irradiance"), image("texture"));
+    let lobe = |kappa: f64, direction: &str| {
+        format!(
+            r#"<emitter type="vmf"><float name="kappa" value="{kappa}"/><vector name="direction" value="{direction}"/>
+               <rgb name="radiance" value="1, 0.8, 0.6"/></emitter>"#
+        )
+    };
+    let spot = |at: &str| {
+        format!(
+            r#"<emitter type="spot">{}<float name="cutoff_angle" value="35"/>{texture}</emitter>"#,
+            from(at)
+        )
+    };
+    vec![
+        format!(
+            r#"<emitter type="projector">{}<float name="scale" value="3"/><float name="fov" value="50"/>{irradiance}</emitter>"#,
+            from("1, 2, 2")
+        ),
+        spot("-1, 2, 1"),
+        lobe(3.0, "1, 2, 1"),
+        lobe(300.0, "-1, 1, 0.5"),
+        lobe(1e5, "0, 1, 1"),
+    ]
+}
+
+/// These lights over a floor and a ball of lacquer, with so many points besides.
+fn under(name: &'static str, lights: &[String], more: usize) -> (Case, Scene) {
+    let point = |i: usize| {
+        let (x, y) = (0.3 * (i as f64 - 5.0), 0.4 + 0.07 * i as f64);
+        format!(
+            r#"<emitter type="point"><point name="position" value="{x}, {y}, 0.6"/><rgb name="intensity" value="0.4, 0.3, {y}"/></emitter>"#
+        )
+    };
+    let points: String = (0..more).map(point).collect();
+    let body = format!(
+        r#"{LIT}<bsdf type="roughplastic" id="lacquer"><float name="alpha" value="0.2"/></bsdf>
+        <shape type="rectangle"><transform name="to_world"><scale value="3"/><rotate x="1" angle="-90"/></transform><ref id="lacquer"/></shape>
+        <shape type="sphere"><point name="center" value="0, 0.4, 0"/><float name="radius" value="0.4"/><ref id="lacquer"/></shape>{}{points}"#,
+        lights.concat()
+    );
+    let scene = scene(&body);
+    (Case { name, body }, scene)
+}
+
+/// Few lights that all paths sample, and so many that paths are sorted by them, or that some are called one by one.
+fn lit() -> Vec<(Case, Scene)> {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (shapes, throwers) = (lanterns(folder.path()), throwers(folder.path()));
+    let all = [&*throwers, &*shapes].concat();
+    vec![
+        under("lanterns", &shapes[..6], 0),
+        under("tubes", &shapes[6..], 0),
+        under("throwers", &throwers, 0),
+        under("all lights", &all, 0),
+        under("more lights", &all, 9),
+    ]
+}
+
+/// Pictures in all places of materials: colours, roughness, shares, opacities, normals and heights, within the image and
+/// beyond it, on balls, plates and a mesh.
+fn pictures() -> (Case, Scene) {
+    let folder = tempfile::tempdir().expect("a folder");
+    let noise = picture(folder.path(), "noise.exr", [16, 8], |i| {
+        0.5 + 0.45 * (1.3 * i as f32).sin()
+    });
+    let normals = picture(folder.path(), "normals.exr", [7, 9], |i| match i % 3 {
+        2 => 0.9,
+        _ => 0.5 + 0.2 * (0.9 * i as f32).sin(),
+    });
+    let of = |file: &str, name: &str, more: &str| {
+        format!(
+            r#"<texture type="bitmap" name="{name}"><string name="filename" value="{file}"/>{more}</texture>"#
+        )
+    };
+    let image = |name: &str| of(&noise, name, "");
+    let wide = |name: &str| {
+        of(
+            &noise,
+            name,
+            r#"<transform name="to_uv"><scale value="1.7"/></transform>"#,
+        )
+    };
+    let clamped = |name: &str| of(&noise, name, r#"<string name="wrap_mode" value="clamp"/>"#);
+    let bsdf = |plugin: &str, inside: &[String]| {
+        format!(r#"<bsdf type="{plugin}">{}</bsdf>"#, inside.concat())
+    };
+    let metal = bsdf(
+        "roughconductor",
+        &[image("alpha"), wide("specular_reflectance")],
+    );
+    let brushed = bsdf("roughconductor", &[wide("alpha_u"), image("alpha_v")]);
+    let lacquer = bsdf(
+        "roughplastic",
+        &[image("alpha"), image("diffuse_reflectance")],
+    );
+    let glass = bsdf(
+        "roughdielectric",
+        &[clamped("alpha"), wide("specular_transmittance")],
+    );
+    let paint = bsdf(
+        "principled",
+        &[
+            image("base_color"),
+            image("roughness"),
+            wide("metallic"),
+            wide("clearcoat"),
+        ],
+    );
+    let page = bsdf("principledthin", &[wide("base_color"), image("diff_trans")]);
+    let tiles = bsdf("diffuse", &[wide("reflectance")]);
+    let mask = |inner: &str| bsdf("mask", &[image("opacity"), inner.into()]);
+    let blend = |a: &str, b: &str| bsdf("blendbsdf", &[wide("weight"), a.into(), b.into()]);
+    let tilted = |inner: &str| bsdf("normalmap", &[of(&normals, "normalmap", ""), inner.into()]);
+    let bump = |inner: &str| {
+        bsdf(
+            "bumpmap",
+            &[wide("map"), number("scale", 0.05), inner.into()],
+        )
+    };
+    let both = |a: &str, b: &str| bsdf("twosided", &[a.into(), b.into()]);
+    let balls = [
+        metal.clone(),
+        lacquer.clone(),
+        glass.clone(),
+        paint.clone(),
+        tilted(&metal),
+        bump(&lacquer),
+        bump(&mask(&glass)),
+    ];
+    let plates = [
+        both(&brushed, ""),
+        both(&metal, &paint),
+        page.clone(),
+        mask(&lacquer),
+        blend(&tiles, &metal),
+        both(&tilted(&tiles), &bump(&metal)),
+        both(&bump(&paint), ""),
+        blend(&both(&lacquer, ""), &glass),
+    ];
+    let case = rows("pictures", &balls, &plates);
+    let mesh = folder.path().join("tent.obj");
+    std::fs::write(&mesh, TENT).unwrap();
+    let tent = |x: f64, bsdf: &str| {
+        format!(
+            r#"<shape type="obj"><string name="filename" value="{}"/><transform name="to_world"><scale value="0.5"/>
+               <translate x="{x}" z="1.4"/></transform>{bsdf}</shape>"#,
+            mesh.display()
+        )
+    };
+    let tents = tent(-1.0, &bump(&metal))
+        + &tent(0.0, &both(&bump(&tiles), &paint))
+        + &tent(1.0, &both(&bump(&lacquer), ""));
+    let body = format!("{}{tents}", case.body);
+    let scene = scene(&body);
+    (Case { body, ..case }, scene)
+}
+
 /// Glossy things seen through a lens, and by parallel rays.
 fn lenses() -> [Case; 2] {
     let glossy = cases::all().into_iter().find(|c| c.name == "ggx");
@@ -180,17 +447,7 @@ fn lenses() -> [Case; 2] {
 /// and two-sided, seen from the front and from behind, and two-sided diffuse things, under a sky and lamps.
 fn court() -> (Case, Scene) {
     let folder = tempfile::tempdir().expect("a folder");
-    let picture = |name: &str, [width, height]: [usize; 2], value: fn(usize) -> f32| {
-        let data = (0..3 * width * height).map(value).collect();
-        let path = folder.path().join(name);
-        let image = Image {
-            width,
-            height,
-            data,
-        };
-        write_exr(&path, &image).expect("a folder to write to");
-        path.display().to_string()
-    };
+    let picture = |name: &str, size, value| picture(folder.path(), name, size, value);
     // Bright in places, and black in others.
     let sky = picture("sky.exr", [12, 7], |i| {
         (4.0 * (0.37 * i as f32).sin() - 1.0).max(0.0)
@@ -845,7 +1102,8 @@ fn images_are_those_of_single_paths_bit_by_bit() {
         let scene = scene(&case.body);
         (case, scene)
     });
-    for (case, mut s) in all().chain(more).chain([strands(), denser(), rings()]) {
+    let rest = [strands(), denser(), rings(), pictures()];
+    for (case, mut s) in all().chain(more).chain(rest).chain(lit()) {
         let plain = s.settings;
         assert_same(case.name, &s, &plain, &[Mis, Detached, Emitter]);
         for points in [Points::Sobol, Points::Antithetic] {
@@ -886,7 +1144,7 @@ fn images_of_the_scenes_of_the_repository_are_those_of_single_paths() {
 /// Where the noise of pixels is asked for, single paths find it.
 #[test]
 fn gradients_are_those_of_single_paths() {
-    for (case, mut s) in all() {
+    for (case, mut s) in all().chain([pictures()]) {
         let plain = s.settings;
         let names = [
             "mis",

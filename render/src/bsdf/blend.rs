@@ -36,6 +36,11 @@ impl Blend {
         &self.parts
     }
 
+    /// The share of the second part.
+    pub(crate) fn texture(&self) -> &ScalarTexture {
+        &self.weight
+    }
+
     /// The shares of the two parts.
     #[inline]
     pub(crate) fn shares<R: Real>(&self, at: &Shading<R>) -> [R; 2] {

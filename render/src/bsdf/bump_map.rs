@@ -7,12 +7,12 @@ use ad_core::{Const, Float, Real, Vec3};
 use super::chart::Stretch;
 use super::nesting::nested_nodes;
 use super::tilted::{Tilt, Tilted};
-use super::{Corrections, Material, Shading, TextureRef};
+use super::{Corrections, Material, Shading, TextureRef, TransportMode};
 use crate::error::SceneError;
 use crate::math::Rgb;
-use crate::params::{GradSink, ParamShape};
+use crate::params::{GradSink, ParamShape, Theta};
 use crate::plugin::{FromNode, Node, Registry};
-use crate::texture::{self, ScalarTexture, Texture};
+use crate::texture::{self, Footprint, ScalarTexture, Texture};
 
 /// A material in the frame of a surface that heights along the shading normal displace, in units of the scene
 /// [Blinn 1978].
@@ -53,15 +53,25 @@ impl BumpMap {
     pub fn height(&self) -> &ScalarTexture {
         &self.tilt.height
     }
+
+    /// What they are multiplied with.
+    pub(crate) fn scale(&self) -> &ScalarTexture {
+        &self.tilt.scale
+    }
 }
 
 /// The slope of the unscaled heights along u and v.
 #[inline(always)]
 fn slope<R: Real>(height: &ScalarTexture, at: &Shading<R>) -> [R; 2] {
-    let f = height.slopes(at.uv);
+    slope_between(&at.theta, &height.slopes(at.uv))
+}
+
+/// The same of a lookup.
+#[inline(always)]
+fn slope_between<R: Real>(theta: &Theta<R>, f: &Footprint<[R; 2]>) -> [R; 2] {
     let mut sum = [R::zero(); 2];
     for k in 0..4 {
-        let [h]: [R; 1] = at.theta.texel(f.param, f.texel[k] as usize);
+        let [h]: [R; 1] = theta.texel(f.param, f.texel[k] as usize);
         let [u, v] = f.weight[k];
         sum[0] += h * u;
         sum[1] += h * v;
@@ -86,14 +96,37 @@ fn normal<R: Real>(Stretch { a, b, c }: &Stretch<R>, [u, v]: [R; 2]) -> Vec3<R> 
     Vec3::new(-(u * *c), u * *b - v * *a, *a * *c)
 }
 
+impl Bumps {
+    /// [`Tilt::vector`] where heights and their scale have this slope and this value.
+    #[inline(always)]
+    fn vector_of<R: Real>(&self, at: &Shading<R>, [u, v]: [R; 2], scale: R) -> Vec3<R> {
+        let n = normal(&at.stretch(), [u * scale, v * scale]);
+        // Its length does not matter, but has to be far from the ends of the scalar.
+        front(n).map_or(Vec3::zero(), |by| n * Const(by))
+    }
+}
+
+impl BumpMap {
+    /// [`Tilted::vector`](super::Tilted) of what stands still, where the heights were looked up before.
+    #[inline(always)]
+    pub(crate) fn vector_between<P: Float>(
+        &self,
+        at: &Shading<P>,
+        heights: &Footprint<[P; 2]>,
+        scale: P,
+        wo: Vec3<P>,
+    ) -> Vec3<P> {
+        let slope = slope_between(&at.theta, heights);
+        let v = self.tilt.vector_of(at, slope, scale);
+        self.seen(v, wo, TransportMode::Radiance)
+    }
+}
+
 impl Tilt for Bumps {
     #[inline]
     fn vector<R: Real>(&self, at: &Shading<R>) -> Vec3<R> {
         let scale = self.scale.scalar(&at.theta, at.uv);
-        let [u, v] = slope(&self.height, at);
-        let n = normal(&at.stretch(), [u * scale, v * scale]);
-        // Its length does not matter, but has to be far from the ends of the scalar.
-        front(n).map_or(Vec3::zero(), |by| n * Const(by))
+        self.vector_of(at, slope(&self.height, at), scale)
     }
 
     fn scatter<P: Float>(&self, at: &Shading<P>, d: Vec3<P>, grad: &mut impl GradSink<P>) {

@@ -41,6 +41,11 @@ impl Mask {
         &self.nested
     }
 
+    /// What is there, and what is not.
+    pub(crate) fn texture(&self) -> &ScalarTexture {
+        &self.opacity
+    }
+
     /// The part that is there.
     #[inline]
     pub(crate) fn opacity<R: Real>(&self, at: &Shading<R>) -> R {

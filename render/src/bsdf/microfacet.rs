@@ -349,6 +349,40 @@ impl<P: Float, A: Alpha<Scalar = P>> Microfacet<A> {
     }
 }
 
+impl<P: Float> Microfacet<P> {
+    /// The change of the logarithm of what facets with the normal `m` reflect between `wo` and `wi`, in proportion to
+    /// `D / (sigma_o sigma_i)`, with the roughness. Without branches, for loops over many.
+    #[inline(always)]
+    pub(crate) fn log_slope_in_line(&self, m: Vec3<P>, [wo, wi]: [Vec3<P>; 2]) -> P {
+        let (alpha, two) = (self.alpha, P::of(2.0));
+        let (x, y) = (m.x / alpha, m.y / alpha);
+        let steep = x.square() + y.square();
+        let steepness = match self.kind {
+            Ndf::Ggx => two * steep / (steep + m.z.square()),
+            Ndf::Beckmann => steep / m.z.square(),
+        };
+        let of_d = (steepness - P::one()) * two / alpha;
+        of_d - self.log_slope_of_sigma(wo) - self.log_slope_of_sigma(wi)
+    }
+
+    /// The change of the logarithm of [`Microfacet::sigma`] with the roughness.
+    #[inline(always)]
+    fn log_slope_of_sigma(&self, w: Vec3<P>) -> P {
+        let s2 = w.x.square() + w.y.square();
+        match self.kind {
+            Ndf::Ggx => {
+                let c = w.z.abs();
+                let root = (c.square() + self.alpha.square() * s2).sqrt();
+                self.alpha * s2 / (root * (c + root))
+            }
+            Ndf::Beckmann => {
+                let spread = self.alpha.spread(w);
+                s2.sqrt() * slopes::log_slope_in_line(w.z.abs(), spread)
+            }
+        }
+    }
+}
+
 /// [`Microfacet::d`] of GGX surfaces.
 #[inline(always)]
 fn ggx_d<R: Real>(alpha: R, m: Vec3<R>) -> R {

@@ -6,13 +6,13 @@ use ad_core::{Dual, Float, Real, Vec3, array};
 
 use super::nesting::nested_nodes;
 use super::tilted::{Tilt, Tilted};
-use super::{Corrections, Material, Shading, TextureRef};
+use super::{Corrections, Material, Shading, TextureRef, TransportMode};
 use crate::error::SceneError;
 use crate::image_io::Encoding;
 use crate::math::each;
 use crate::params::GradSink;
 use crate::plugin::{FromNode, Node, Registry};
-use crate::texture::{self, Bitmap, RgbTexture, UvTransform, Wrap};
+use crate::texture::{self, Bitmap, Footprint, RgbTexture, UvTransform, Wrap};
 
 /// A material in a frame tilted by a normal map: a texel `c` encodes the normal `2c - 1` in the shading frame.
 pub type NormalMap = Tilted<EncodedNormals>;
@@ -64,6 +64,19 @@ impl NormalMap {
         nested: Arc<Material>,
     ) -> Result<Self, SceneError> {
         Self::by(EncodedNormals { map, interpolation }, nested)
+    }
+
+    /// [`Tilted::vector`](super::Tilted) of what stands still, where the normals were looked up before.
+    #[inline(always)]
+    pub(crate) fn vector_between<P: Float>(
+        &self,
+        at: &Shading<P>,
+        normals: &Footprint<P>,
+        wo: Vec3<P>,
+    ) -> Vec3<P> {
+        let decode = |texel| self.interpolation().decode(texel).to_array();
+        let v = normals.value_decoded(&at.theta, decode);
+        self.seen(v.into(), wo, TransportMode::Radiance)
     }
 
     /// The texture of encoded normals.

@@ -46,6 +46,16 @@ pub(super) fn sigma_in_line<P: Float>(c: P, s: P) -> P {
     }
 }
 
+/// The change of the logarithm of [`sigma_in_line`] with `s`.
+#[inline(always)]
+pub(super) fn log_slope_in_line<P: Float>(c: P, s: P) -> P {
+    if is_single::<P>() {
+        VisibleSlopes::by(&SINGLE, c, s).log_slope()
+    } else {
+        VisibleSlopes::by(&DOUBLE, c, s).log_slope()
+    }
+}
+
 /// Projected area, seen from `(s, c)`, of the facets whose slope along it is below `x`:
 /// `integral of (c - t s) exp(-t^2) / sqrt(pi) dt` up to `x`.
 #[inline]
@@ -68,6 +78,8 @@ struct VisibleSlopes<P> {
     area: P,
     /// Probability of a larger slope.
     beyond: P,
+    /// The change of the area with `s`: slopes at the steepest one are seen edge-on.
+    change: P,
 }
 
 impl<P: Float> VisibleSlopes<P> {
@@ -82,7 +94,13 @@ impl<P: Float> VisibleSlopes<P> {
             steepest,
             area: P::select(all, c, c + rest),
             beyond: tail * erfcx * half,
+            change: P::select(all, P::zero(), tail * P::of(0.5 / PI.sqrt())),
         }
+    }
+
+    #[inline(always)]
+    fn log_slope(&self) -> P {
+        self.change / self.area
     }
 }
 

@@ -92,13 +92,13 @@ impl<N> Tilted<N> {
 
 impl<N: Tilt> Tilted<N> {
     /// Calls `f` with every texture that the normals are read from.
-    pub(super) fn visit_tilt(&self, f: &mut dyn FnMut(TextureRef)) {
+    pub(crate) fn visit_tilt(&self, f: &mut dyn FnMut(TextureRef)) {
         self.tilt.visit_textures(f);
     }
 
     /// The vector as it is seen along `wo`.
     #[inline]
-    fn seen<R: Real>(&self, v: Vec3<R>, wo: Vec3<R>, mode: TransportMode) -> Vec3<R> {
+    pub(super) fn seen<R: Real>(&self, v: Vec3<R>, wo: Vec3<R>, mode: TransportMode) -> Vec3<R> {
         if !self.corrections.flip || mode == TransportMode::Importance {
             return v;
         }

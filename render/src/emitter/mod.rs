@@ -44,6 +44,7 @@ pub use envmap::{Envmap, Moved, MovingDraw, Shift};
 pub(crate) use envmap::{Local as LocalSums, MapPoint};
 pub use point::Point;
 pub(crate) use point::towards_in_line;
+pub(crate) use projector::Plane;
 pub use projector::{Projector, Slide};
 pub(crate) use spot::Cone;
 pub use spot::Spot;

@@ -6,8 +6,8 @@ use ad_core::{Float, Real, Vec2, Vec3};
 
 use super::point::{moving, towards};
 use super::{
-    Ball, Border, Connection, Emission, EmittedRay, Emitter, EmitterSample, INSIDE_BORDER, Lights,
-    Rays, Spot, around, scale_of,
+    Ball, Border, Cone, Connection, Emission, EmittedRay, Emitter, EmitterSample, INSIDE_BORDER,
+    Lights, Rays, Spot, around, scale_of,
 };
 use crate::error::SceneError;
 use crate::math::{Ray, Transform};
@@ -18,7 +18,7 @@ use crate::texture::{self, RgbTexture};
 
 /// Where a direction from a point meets the image plane in front of it.
 #[derive(Clone, Copy, Debug)]
-struct Plane {
+pub(crate) struct Plane {
     /// Right, up and forward, world space, orthonormal.
     axes: [[f32; 3]; 3],
     /// Half width and height of the image at unit distance; negative where the image is turned over.
@@ -43,13 +43,27 @@ impl Plane {
     /// `None` behind the point.
     #[inline]
     fn meet<R: Real>(&self, d: Vec3<R>) -> Option<(Vec2<R>, R)> {
-        let [x, y, z] = self.axes.map(|a| lift3::<R>(a).dot(d));
-        if z.primal() <= R::Primal::of(1e-6) {
-            return None;
-        }
+        let (uv, cos, ahead) = self.meet_in_line(d);
+        ahead.then_some((uv, cos))
+    }
+
+    /// [`Plane::meet`], and whether the plane is met at all: without branches, for loops over many.
+    #[inline(always)]
+    pub(crate) fn meet_in_line<R: Real>(&self, d: Vec3<R>) -> (Vec2<R>, R, bool) {
+        let [right, up, forward] = &self.axes;
+        let (x, y) = (lift3::<R>(*right).dot(d), lift3::<R>(*up).dot(d));
+        let z = lift3::<R>(*forward).dot(d);
         let place = |x: R, half: f64| x / z * R::c(0.5 / half) + R::c(0.5);
         let uv = Vec2::new(place(x, self.half[0]), place(y, self.half[1]));
-        Some((uv, z))
+        (uv, z, z.primal() > R::Primal::of(1e-6))
+    }
+
+    /// [`Projector::profile`] in this plane, and whether the image is met: without branches, for loops over many.
+    #[inline(always)]
+    pub(crate) fn profile_in_line<R: Real>(&self, d: Vec3<R>) -> (Emission<R>, bool) {
+        let (uv, cos, ahead) = self.meet_in_line(d);
+        let falloff = (cos * cos * cos).recip() * R::c(PI);
+        (Emission { uv, falloff }, ahead & inside(uv))
     }
 
     /// The unit direction to a place of the image, and its cosine to the axis.
@@ -77,10 +91,11 @@ impl Plane {
 }
 
 /// Whether a place is on the image.
-#[inline]
+#[inline(always)]
 fn inside<R: Real>(uv: Vec2<R>) -> bool {
-    let within = |x: R| x.primal() >= R::Primal::zero() && x.primal() <= R::Primal::one();
-    within(uv.x) && within(uv.y)
+    let (x, y) = (uv.x.primal(), uv.y.primal());
+    let (zero, one) = (R::Primal::zero(), R::Primal::one());
+    (x >= zero) & (x <= one) & (y >= zero) & (y <= one)
 }
 
 /// The reverse of a pinhole camera: light from a point that makes a constant image a constant irradiance on planes
@@ -99,9 +114,13 @@ impl Projector {
     /// Where light leaves in the unit direction `d`, and its intensity over that of the texture. `None` beside the image.
     #[inline]
     fn profile<R: Real>(&self, d: Vec3<R>) -> Option<Emission<R>> {
-        let (uv, cos) = self.plane.meet(d)?;
-        let falloff = (cos * cos * cos).recip() * R::c(PI);
-        inside(uv).then_some(Emission { uv, falloff })
+        let (emission, is_met) = self.plane.profile_in_line(d);
+        is_met.then_some(emission)
+    }
+
+    /// Where it is, world space, and its image.
+    pub(crate) fn lens(&self) -> ([f32; 3], Plane) {
+        (self.position, self.plane)
     }
 
     /// Density of a direction whose cosine to the axis is `cos`: uniform over the image.
@@ -249,6 +268,12 @@ pub struct Slide {
 }
 
 impl Slide {
+    /// Where it is, world space, where it shines, and its image.
+    pub(crate) fn lens(&self) -> ([f32; 3], Cone, Plane) {
+        let (position, cone) = self.spot.cone();
+        (position, cone, self.plane)
+    }
+
     /// The same where the image is met.
     #[inline]
     fn at<P: Float>(&self, d: Vec3<P>, mut emission: Emission<P>) -> Option<Emission<P>> {

@@ -2,12 +2,12 @@
 
 use std::f64::consts::PI;
 
-use ad_core::{Const, Float, Real, Vec2, Vec3};
+use ad_core::{Float, Real, Vec2, Vec3};
 
 use super::point::constant_colour;
 use super::{Emission, Emitter, EmitterSample, Lights, WIDE};
 use crate::error::SceneError;
-use crate::math::{Frame, warp};
+use crate::math::{Frame, gauss, warp};
 use crate::motion::Placement;
 use crate::params::{ParamRef, Params};
 use crate::plugin::{FromNode, Node, Registry};
@@ -51,14 +51,26 @@ impl Vmf {
     }
 
     /// exp(kappa (cos theta - 1))
-    #[inline]
+    #[inline(always)]
     fn lobe<R: Real>(&self, d: Vec3<R>) -> R {
         // 1 - cos theta = |d - mean|^2 / 2, without cancellation.
         let off = d - lift3::<R>(self.direction);
-        (off.length_squared() * R::c(-0.5 * self.kappa)).exp()
+        gauss::fading(off.length_squared() * R::c(0.5 * self.kappa))
     }
 
-    #[inline]
+    /// What comes from the unit direction `d`, and the density of samples there: without a branch or a call, for loops over
+    /// many.
+    #[inline(always)]
+    pub(crate) fn seen_in_line<P: Float>(&self, d: Vec3<P>) -> (Emission<P>, P) {
+        let falloff = self.lobe(d);
+        let uv = Vec2::zero();
+        (
+            Emission { uv, falloff },
+            falloff * self.normalisation::<P>(),
+        )
+    }
+
+    #[inline(always)]
     fn normalisation<P: Float>(&self) -> P {
         P::of(self.kappa / (2.0 * PI * self.mass))
     }
@@ -78,25 +90,18 @@ impl Emitter for Vmf {
         })
     }
 
-    #[inline]
+    #[inline(always)]
     fn sample<P: Float>(&self, _: Lights, _: Vec3<P>, u: [P; 2]) -> Option<EmitterSample<P>> {
         // The inverse of the distribution of 1 - cos theta.
-        let w = -(u[0] * Const(P::of(-self.mass))).ln_1p() / P::of(self.kappa);
+        let w = -gauss::ln_1p(u[0] * P::of(-self.mass)) / P::of(self.kappa);
         let w = w.min(P::of(2.0));
         let r = (w * (P::of(2.0) - w)).sqrt();
         let (sin, cos) = warp::sin_cos_of_turns(u[1]);
         let mean = Frame::from_normal(lift3::<P>(self.direction));
         let d = mean.to_world(Vec3::new(r * cos, r * sin, P::one() - w));
-        let falloff = self.lobe(d);
-        Some(EmitterSample::without_surface(
-            d,
-            P::of(f64::INFINITY),
-            falloff * self.normalisation::<P>(),
-            Emission {
-                uv: Vec2::zero(),
-                falloff,
-            },
-        ))
+        let (emission, pdf) = self.seen_in_line(d);
+        let distance = P::of(f64::INFINITY);
+        Some(EmitterSample::without_surface(d, distance, pdf, emission))
     }
 
     #[inline]

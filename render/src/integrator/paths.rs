@@ -273,6 +273,7 @@ impl<P: Float> Pass<'_, P> {
                 );
                 self.progress.advance(tile.pixels() as u64);
             }
+            adjoints.complete();
             (sink.into_small(), non_finite)
         });
         GradientSums::zero(active).with_parts(parts)

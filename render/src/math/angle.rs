@@ -106,6 +106,19 @@ pub fn in_one_turn<R: Real>(x: R) -> R {
     x - Const(turns * R::Primal::of(TAU))
 }
 
+/// Length of `(x, y)`, whose square does not overflow; zero where that is too small a number.
+///
+/// # Derivatives
+/// Those of [`Real::hypot`].
+#[inline(always)]
+pub fn length<R: Real>(x: R, y: R) -> R {
+    let value = (x.primal().square() + y.primal().square()).sqrt();
+    if R::IS_PRIMAL {
+        return R::lift(value);
+    }
+    revalued(x.hypot(y), value)
+}
+
 /// `x` with another value.
 #[inline(always)]
 fn revalued<R: Real>(x: R, value: R::Primal) -> R {

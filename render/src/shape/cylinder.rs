@@ -27,6 +27,12 @@ pub struct Cylinder {
     /// Unit vectors across the axis, where u = 0 and u = 1/4.
     across: [[f32; 3]; 2],
     flip: bool,
+    area: f64,
+}
+
+/// That of a tube.
+fn area(axis: [f32; 3], radius: f32) -> f64 {
+    2.0 * PI * f64::from(radius) * lift3::<f64>(axis).length()
 }
 
 impl Cylinder {
@@ -65,12 +71,14 @@ impl Cylinder {
         // Mirrored frames turn the other way round, as the local coordinates do.
         let y = direction.cross(x);
         let y = if y.dot(t) < 0.0 { -y } else { y };
+        let (axis, radius) = (single(axis.to_array()), radius as f32);
         let cylinder = Self {
             p0: single(to_world.point(p0)),
-            axis: single(axis.to_array()),
-            radius: radius as f32,
+            axis,
+            radius,
             across: [single(x.to_array()), single(y.to_array())],
             flip,
+            area: area(axis, radius),
         };
         cylinder.is_usable().then_some(cylinder)
     }
@@ -84,9 +92,52 @@ impl Cylinder {
         reachable && allowed.contains(&f64::from(self.radius)) && allowed.contains(&length)
     }
 
-    #[inline]
+    #[inline(always)]
     fn side<R: Real>(&self, outward: Vec3<R>) -> Vec3<R> {
-        if self.flip { -outward } else { outward }
+        Vec3::select(self.flip, -outward, outward)
+    }
+
+    /// [`Shape::sample_area`] without a branch.
+    #[inline(always)]
+    fn sample_surface_at<R: Real>(&self, u: [R::Primal; 2]) -> ShapeSample<R> {
+        let (sin, cos) = warp::sin_cos_of_turns(u[0]);
+        let x = lift3::<R::Primal>(self.across[0]);
+        let y = lift3::<R::Primal>(self.across[1]);
+        let outward = Vec3::<R>::lift(x * cos + y * sin);
+        let along = lift3::<R>(self.axis) * Const(u[1]);
+        ShapeSample {
+            p: lift3::<R>(self.p0) + along + outward * Const(R::Primal::from_f32(self.radius)),
+            n: self.side(outward),
+            uv: Vec2::new(R::lift(u[0]), R::lift(u[1])),
+            pdf: R::Primal::of(1.0 / self.area),
+            prim: 0,
+            coordinates: SurfaceCoordinates(Vec2::new(u[0], u[1])),
+        }
+    }
+
+    /// [`Shape::sample`], and whether anything is seen: the inside may be hidden by the tube itself. Without branches, for
+    /// loops over many.
+    #[inline(always)]
+    pub(crate) fn sample_in_line<P: Float>(
+        &self,
+        from: Vec3<P>,
+        u: [P; 2],
+    ) -> (DirectionSample<P>, bool) {
+        let s = self.sample_surface_at::<P>(u);
+        let (seen, is_seen) = s.seen_in_line(from, s.n);
+        let axis = lift3::<P>(self.axis);
+        // As long as axes are, their squares are normal.
+        let direction = axis.unit().0;
+        let p0 = lift3::<P>(self.p0);
+        let flat = |v: Vec3<P>| v - direction * direction.dot(v);
+        let (to, d, out) = (flat(p0 - from), flat(seen.d), flat(s.p - p0));
+        let radius = P::from_f32(self.radius);
+        let outside = to.length_squared().sqrt() > radius * P::of(1.0 + ON_SURFACE);
+        let near = root_near(to, d, radius, P::zero());
+        let height = direction.dot(from + seen.d * near - p0);
+        let within = (height >= P::zero()) & (height <= axis.length_squared().sqrt());
+        let hidden = outside & (out.dot(d) > P::zero()) & (near > P::zero()) & within;
+        (seen, is_seen & !hidden)
     }
 
     /// Unit vectors where u = 0 and u = 1/4, at right angles to the axis and each other in the digits of the scalar.
@@ -240,57 +291,31 @@ impl Shape for Cylinder {
         let single = |v: [f64; 3]| each(v, |x| x as f32);
         let across = self.across.map(|a| Vec3::from(by.vector(double(a))));
         let scale = across[0].length();
+        let axis = single(by.vector(double(self.axis)));
+        let radius = (f64::from(self.radius) * scale) as f32;
         let placed = Self {
             p0: single(by.point(double(self.p0))),
-            axis: single(by.vector(double(self.axis))),
-            radius: (f64::from(self.radius) * scale) as f32,
+            axis,
+            radius,
             across: across.map(|a| single(a.normalize().to_array())),
             flip: self.flip,
+            area: area(axis, radius),
         };
         placed.is_usable().then_some(placed).ok_or_else(misplaced)
     }
 
     fn area(&self) -> f64 {
-        2.0 * PI * f64::from(self.radius) * lift3::<f64>(self.axis).length()
+        self.area
     }
 
     #[inline]
     fn sample_area<R: Real>(&self, _theta: &Theta<R>, u: [R::Primal; 2]) -> ShapeSample<R> {
-        let (sin, cos) = warp::sin_cos_of_turns(u[0]);
-        let (x, y) = (
-            lift3::<R::Primal>(self.across[0]),
-            lift3::<R::Primal>(self.across[1]),
-        );
-        let outward = Vec3::<R>::lift(x * cos + y * sin);
-        let along = lift3::<R>(self.axis) * Const(u[1]);
-        ShapeSample {
-            p: lift3::<R>(self.p0) + along + outward * Const(R::Primal::from_f32(self.radius)),
-            n: self.side(outward),
-            uv: Vec2::new(R::lift(u[0]), R::lift(u[1])),
-            pdf: R::Primal::of(1.0 / self.area()),
-            prim: 0,
-            coordinates: SurfaceCoordinates(Vec2::new(u[0], u[1])),
-        }
+        self.sample_surface_at(u)
     }
 
-    /// The inside may be hidden by the tube itself.
     fn sample<P: Float>(&self, from: Vec3<P>, u: [P; 2]) -> Option<DirectionSample<P>> {
-        let s = self.sample_area(&Theta::still(), u);
-        let seen = s.seen_from(from, s.n)?;
-        let direction = lift3::<P>(self.axis).normalize();
-        let flat = |v: Vec3<P>| v - direction * direction.dot(v);
-        let p0 = lift3::<P>(self.p0);
-        let (to, d) = (flat(p0 - from), flat(seen.d));
-        let radius = P::from_f32(self.radius);
-        let outside = to.length() > radius * P::of(1.0 + ON_SURFACE);
-        if outside && flat(s.p - p0).dot(d) > P::zero() {
-            let near = root_near(to, d, radius, P::zero());
-            let height = direction.dot(from + seen.d * near - p0);
-            if near > P::zero() && height >= P::zero() && height <= lift3::<P>(self.axis).length() {
-                return None;
-            }
-        }
-        Some(seen)
+        let (seen, is_seen) = self.sample_in_line(from, u);
+        is_seen.then_some(seen)
     }
 
     fn extent(&self) -> f32 {

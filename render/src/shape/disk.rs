@@ -12,7 +12,7 @@ use super::{
 };
 use crate::accel::{Hit, MAX_COORDINATE, MIN_THICKNESS, Primitive};
 use crate::error::SceneError;
-use crate::math::{Frame, Ray, Transform, each, warp};
+use crate::math::{Frame, Ray, Transform, angle, each, warp};
 use crate::params::Theta;
 use crate::plugin::{FromNode, Node, Registry};
 
@@ -64,6 +64,15 @@ impl Disk {
 }
 
 impl Disk {
+    /// The point with these coordinates, world space, and its texture coordinates: without a branch where nothing moves.
+    #[inline(always)]
+    fn place<R: Real>(&self, SurfaceCoordinates(at): SurfaceCoordinates<R>) -> (Vec3<R>, Vec2<R>) {
+        let [center, e1, e2] = each([self.center, self.e1, self.e2], lift3::<R>);
+        let Vec2 { x, y } = at;
+        let uv = Vec2::new(angle::length(x, y), turn(y, x));
+        (center + e1 * x + e2 * y, uv)
+    }
+
     /// From the centre to the rim, world space.
     pub(super) fn half_axes(&self) -> [Vec3<f64>; 2] {
         [self.e1, self.e2].map(lift3)
@@ -119,21 +128,19 @@ impl Shape for Disk {
         _prim: u32,
         at: SurfaceCoordinates<R>,
     ) -> SurfaceInteraction<R> {
-        let center = lift3::<R>(self.center);
-        let (e1, e2, n) = (lift3::<R>(self.e1), lift3::<R>(self.e2), lift3::<R>(self.n));
-        let SurfaceCoordinates(Vec2 { x, y }) = at;
-        let r = x.hypot(y);
-        let outward = if r.primal() > R::Primal::zero() {
-            (e1 * x + e2 * y).normalize()
+        let [e1, e2, n] = each([self.e1, self.e2, self.n], lift3::<R>);
+        let (p, uv) = self.place(at);
+        let outward = if uv.x.primal() > R::Primal::zero() {
+            (e1 * at.0.x + e2 * at.0.y).normalize()
         } else {
             e1
         };
         SurfaceInteraction {
-            p: center + e1 * x + e2 * y,
+            p,
             t: R::zero(),
             n_geo: n,
             frame: Frame::from_normal_and_tangent(n, outward),
-            uv: Vec2::new(r, turn(y, x)),
+            uv,
         }
     }
 
@@ -174,14 +181,14 @@ impl Shape for Disk {
         self.area
     }
 
-    #[inline]
-    fn sample_area<R: Real>(&self, theta: &Theta<R>, u: [R::Primal; 2]) -> ShapeSample<R> {
+    #[inline(always)]
+    fn sample_area<R: Real>(&self, _theta: &Theta<R>, u: [R::Primal; 2]) -> ShapeSample<R> {
         let coordinates = SurfaceCoordinates(warp::square_to_disk(u));
-        let at = self.point_at(theta, 0, SurfaceCoordinates::<R>::lift(coordinates));
+        let (p, uv) = self.place(SurfaceCoordinates::<R>::lift(coordinates));
         ShapeSample {
-            p: at.p,
-            n: at.n_geo,
-            uv: at.uv,
+            p,
+            n: lift3(self.n),
+            uv,
             pdf: R::Primal::of(1.0 / self.area),
             prim: 0,
             coordinates,

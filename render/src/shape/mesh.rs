@@ -54,6 +54,13 @@ pub(super) struct Data {
 }
 
 impl Mesh {
+    /// The triangle that a number in [0, 1) chooses, by its part of the area, and where in that part the number is, from 0 to 1.
+    #[inline]
+    pub(crate) fn draw_triangle<P: Float>(&self, u: P) -> (u32, P) {
+        let (i, _, reused) = pick(self.data.running_areas(), u.to_f64());
+        (i as u32, P::of(reused))
+    }
+
     /// From arrays.
     ///
     /// # Errors
@@ -356,6 +363,15 @@ pub(super) fn running_areas(triangles: impl Iterator<Item = Triangle>) -> Vec<f6
 }
 
 impl Data {
+    /// Running sums of the areas of its triangles.
+    #[inline]
+    fn running_areas(&self) -> &[f64] {
+        self.cdf.get_or_init(|| {
+            let count = self.mesh.triangles.len();
+            running_areas((0..count).map(|i| self.triangle(i)))
+        })
+    }
+
     /// What a triangle is made of.
     #[inline(always)]
     pub(super) fn triangle(&self, triangle: usize) -> Triangle {
@@ -819,11 +835,7 @@ impl Shape for Mesh {
     /// The normal returned is the shading normal, which emission goes by.
     fn sample_area<R: Real>(&self, theta: &Theta<R>, u: [R::Primal; 2]) -> ShapeSample<R> {
         let data = &*self.data;
-        let cdf = data.cdf.get_or_init(|| {
-            let count = data.mesh.triangles.len();
-            running_areas((0..count).map(|i| data.triangle(i)))
-        });
-        let (i, b) = choose(cdf, u);
+        let (i, b) = choose(data.running_areas(), u);
         let moving = self.moving(theta, i);
         (data.triangle(i)).sampled(i as u32, b, data.area, moving.as_ref())
     }

@@ -319,19 +319,15 @@ pub(crate) fn turn<R: Real>(y: R, x: R) -> R {
 }
 
 /// The `t` nearest to `near` with `|t d - to| = r`. On rays that miss by rounding, the closest
-/// approach.
-#[inline]
+/// approach. Without a branch.
+#[inline(always)]
 pub(super) fn root_near<R: Real>(to: Vec3<R>, d: Vec3<R>, r: R, near: R::Primal) -> R {
     let dd = d.length_squared();
     let middle = to.dot(d) / dd;
     // Distance of the centre from the line; the usual b^2 - a c would lose a small far sphere.
     let off = to - d * middle;
     let half = ((r * r - off.length_squared()) / dd).max(R::zero()).sqrt();
-    if near < middle.primal() {
-        middle - half
-    } else {
-        middle + half
-    }
+    R::select(near < middle.primal(), middle - half, middle + half)
 }
 
 impl Shape for Sphere {

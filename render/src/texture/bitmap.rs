@@ -39,6 +39,9 @@ impl UvTransform {
     }
 }
 
+/// The four texels around a place of an image, x first, and how far it is from the first to the last along both axes.
+pub(crate) type Corners<R> = ([u32; 4], [R; 2]);
+
 /// A bilinearly interpolated image. Row 0 lies at v = 0, column 0 at u = 0, and the centre of texel
 /// (i, j) at `((i + 1/2) / width, (j + 1/2) / height)`, as in Mitsuba 3.
 #[derive(Clone, Debug)]
@@ -81,27 +84,33 @@ impl Bitmap {
         self.between(self.corners(uv))
     }
 
-    /// Whether [`Bitmap::footprint_in_line`] is ever right.
+    /// Whether [`Bitmap::corners_in_line`] is ever right.
     #[inline(always)]
     pub(crate) fn is_found_in_line(&self) -> bool {
         !self.nearest && self.wrap == Wrap::Repeat
     }
 
-    /// [`Bitmap::footprint`] of an interpolated image that repeats, without a branch, and whether that is right: if the
-    /// place lies within the image.
+    /// What a lookup at `uv` of an interpolated image that repeats is made of, without a branch, and whether that is right:
+    /// if the place lies within the image.
     #[inline(always)]
-    pub(crate) fn footprint_in_line<P: Float>(&self, uv: Vec2<P>) -> (Footprint<P>, bool) {
+    pub(crate) fn corners_in_line<P: Float>(&self, uv: Vec2<P>) -> (Corners<P>, bool) {
         let at = self.to_uv.apply(uv);
         let right = within(at.x) & within(at.y);
         let inside = |x: P| P::select(right, x, P::zero());
         let cell = |x: P, n: u32| reduced_cell(inside(x), n, Wrap::Repeat);
         let corners = self.corners_of(cell(at.x, self.width), cell(at.y, self.height));
-        (self.between(corners), right)
+        (corners, right)
+    }
+
+    /// The same of any interpolated image, at any place.
+    #[inline(always)]
+    pub(crate) fn corners_at<R: Real>(&self, uv: Vec2<R>) -> Corners<R> {
+        self.corners(self.to_uv.apply(uv))
     }
 
     /// The interpolation of four texels.
     #[inline(always)]
-    fn between<R: Real>(&self, (texel, [fx, fy]): ([u32; 4], [R; 2])) -> Footprint<R> {
+    pub(crate) fn between<R: Real>(&self, (texel, [fx, fy]): Corners<R>) -> Footprint<R> {
         let (gx, gy) = (R::one() - fx, R::one() - fy);
         Footprint {
             param: self.param,
@@ -112,7 +121,7 @@ impl Bitmap {
 
     /// The texels around a place of the image, x first, and how far it is from the first to the last.
     #[inline(always)]
-    fn corners<R: Real>(&self, at: Vec2<R>) -> ([u32; 4], [R; 2]) {
+    fn corners<R: Real>(&self, at: Vec2<R>) -> Corners<R> {
         let x = cell(at.x, self.width, self.wrap);
         self.corners_of(x, cell(at.y, self.height, self.wrap))
     }
@@ -122,7 +131,7 @@ impl Bitmap {
         &self,
         (x0, x1, fx): (u32, u32, R),
         (y0, y1, fy): (u32, u32, R),
-    ) -> ([u32; 4], [R; 2]) {
+    ) -> Corners<R> {
         let texel = [
             y0 * self.width + x0,
             y0 * self.width + x1,
@@ -136,11 +145,18 @@ impl Bitmap {
     /// cell each, and linear in the other.
     #[inline(always)]
     pub(super) fn slopes<R: Real>(&self, uv: Vec2<R>) -> Footprint<[R; 2]> {
+        self.slopes_between(self.corners_at(uv))
+    }
+
+    /// [`Texture::slopes`](super::Texture::slopes) between four texels.
+    #[inline(always)]
+    pub(crate) fn slopes_between<R: Real>(
+        &self,
+        (texel, [fx, fy]): Corners<R>,
+    ) -> Footprint<[R; 2]> {
         let single = |x: f32| R::lift(R::Primal::from_f32(x));
         let [[a, b, _], [c, d, _]] = self.to_uv.rows;
         let [[a, b], [c, d]] = [[single(a), single(b)], [single(c), single(d)]];
-        let at = self.to_uv.apply(uv);
-        let (texel, [fx, fy]) = self.corners(at);
         let (width, height) = (R::of(f64::from(self.width)), R::of(f64::from(self.height)));
         let (gx, gy) = (R::one() - fx, R::one() - fy);
         let along = |x: R, y: R| {

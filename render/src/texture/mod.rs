@@ -24,6 +24,7 @@ mod load;
 
 pub use attribute::Attribute;
 pub(crate) use attribute::{CELL_BEGIN, CELL_FILLED, columns, place};
+pub(crate) use bitmap::Corners;
 pub use bitmap::{Bitmap, UvTransform, Wrap};
 pub use checkerboard::{Checkerboard, Square};
 pub(crate) use load::{PLUGINS, Use, encoding, file, from_plugin, texels, times};
@@ -73,7 +74,17 @@ impl<P: Float> Footprint<P> {
     /// The value there, all channels.
     #[inline(always)]
     pub(crate) fn value<const C: usize>(&self, theta: &Theta<P>) -> [P; C] {
-        gather(theta, self, |texel| texel, |texel, w| texel * Const(w))
+        self.value_decoded(theta, |texel| texel)
+    }
+
+    /// The same of what `decode` makes of each texel.
+    #[inline(always)]
+    pub(crate) fn value_decoded<const C: usize>(
+        &self,
+        theta: &Theta<P>,
+        decode: impl Fn([P; C]) -> [P; C],
+    ) -> [P; C] {
+        gather(theta, self, decode, |texel, w| texel * Const(w))
     }
 
     /// Adds `d`, the adjoint of one of three channels of the lookup, to its texels.

@@ -6,12 +6,14 @@ use smallvec::SmallVec;
 use super::kinds::{has_two_sides, side};
 use super::lanes::{Lane, LaneSums, Lanes, WAVE_SIZE};
 use super::record::{Layer, LayerSink};
+use super::slopes::MetalSlopes;
 use crate::bsdf::{Material, TransportMode, Use};
 use crate::emitter::{AnyEmitter, Emission};
 use crate::integrator::active::Active;
 use crate::integrator::local::{ActiveTexture, LocalFn};
 use crate::integrator::record::SumSink;
 use crate::integrator::record::derivatives::{Adjoints, DerivativeSink, Tangents};
+use crate::integrator::vertex::MODE;
 use crate::math::Rgb;
 use crate::params::{GradSink, ParamRef, Theta};
 use crate::scene::Scene;
@@ -39,11 +41,12 @@ pub struct LayerAdjoints<'a, P: Float, G> {
     sums: [LaneSums<P>; MOST_CONSTANTS],
     /// Whether there are no other plain materials that are differentiated.
     only_constants: bool,
+    metals: MetalSlopes<'a, P>,
 }
 
 impl<'a, P: Float, G: GradSink<P> + SumSink> LayerAdjoints<'a, P, G> {
     /// Those of the parameters in `active`, added to `grad`.
-    pub fn of(scene: &Scene, active: &Active, theta: &'a Theta<'a, P>, grad: &'a mut G) -> Self {
+    pub fn of(scene: &'a Scene, active: &Active, theta: &'a Theta<'a, P>, grad: &'a mut G) -> Self {
         let mut constants = SmallVec::new();
         let mut only_constants = true;
         for (index, material) in (0..).zip(scene.materials()) {
@@ -63,11 +66,18 @@ impl<'a, P: Float, G: GradSink<P> + SumSink> LayerAdjoints<'a, P, G> {
             }
         }
         Self {
+            metals: MetalSlopes::of(scene, grad),
             adjoints: Adjoints { theta, grad },
             constants,
             sums: [LaneSums::zero(); MOST_CONSTANTS],
             only_constants,
         }
+    }
+
+    /// Adds what still waits: called after the last wave.
+    pub fn complete(mut self) {
+        let Adjoints { theta, grad } = &mut self.adjoints;
+        self.metals.finish(theta, *grad);
     }
 }
 
@@ -101,6 +111,19 @@ impl<P: Float, G: GradSink<P> + SumSink> DerivativeSink<P> for LayerAdjoints<'_,
 }
 
 impl<P: Float, G: GradSink<P> + SumSink> LayerSink<P> for LayerAdjoints<'_, P, G> {
+    fn other(
+        &mut self,
+        (id, index, material): (usize, u32, &Material),
+        uv: Vec2<P>,
+        wo: Vec3<P>,
+        uses: &[Use<P>],
+    ) {
+        let Adjoints { theta, grad } = &mut self.adjoints;
+        if !(self.metals).take(index, (uv, wo), uses, theta, *grad) {
+            self.vertex(id, material, uv, wo, uses, MODE);
+        }
+    }
+
     fn albedos(&mut self, scene: &Scene, layer: &Layer<P>, wanted: &Lane<u32>, d: &Lanes<P>) {
         for (&(material, back, _), sums) in self.constants.iter().zip(&mut self.sums) {
             let of_this = |i: usize| {

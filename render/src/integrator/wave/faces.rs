@@ -9,7 +9,7 @@ use crate::math::Frame;
 use crate::shape::{SurfaceInLine, SurfaceInteraction, Triangle};
 
 lanes! {
-    /// What the triangles are made of, and where they are hit.
+    /// What triangles are made of, and where a point on them is.
     Corners {
         v0: Lanes<P>,
         e1: Lanes<P>,
@@ -61,7 +61,10 @@ impl<P: Float> Faces<P> {
     /// Path `i` has met a triangle.
     #[inline(always)]
     pub fn put(&mut self, i: usize, triangle: &Triangle, hit: &Hit) {
-        self.corners.put(i, triangle, hit);
+        self.corners.put(i, triangle);
+        self.corners.met[i] = 1;
+        let place = Vec2::new(P::from_f32(hit.u), P::from_f32(hit.v));
+        self.corners.put_place(i, place);
         self.any = true;
     }
 
@@ -77,8 +80,9 @@ impl<P: Float> Faces<P> {
 }
 
 impl<P: Float> Corners<P> {
+    /// The `i`-th is this triangle.
     #[inline(always)]
-    fn put(&mut self, i: usize, triangle: &Triangle, hit: &Hit) {
+    pub fn put(&mut self, i: usize, triangle: &Triangle) {
         let vec = |x: [f32; 3]| Vec3::new(P::from_f32(x[0]), P::from_f32(x[1]), P::from_f32(x[2]));
         let [e1, e2] = triangle.edges;
         self.v0.put_vec(i, vec(triangle.v0));
@@ -96,8 +100,39 @@ impl<P: Float> Corners<P> {
             (self.v0_uv[i], self.v1_uv[i], self.v2_uv[i]) = (a[1], b[1], c[1]);
         }
         self.flip[i] = u32::from(triangle.flip);
-        self.met[i] = 1;
-        (self.u[i], self.v[i]) = (P::from_f32(hit.u), P::from_f32(hit.v));
+    }
+
+    /// The coordinates of the point on the `i`-th.
+    #[inline(always)]
+    pub fn put_place(&mut self, i: usize, at: Vec2<P>) {
+        (self.u[i], self.v[i]) = (at.x, at.y);
+    }
+
+    /// The normal of the `i`-th, without regard to sides.
+    #[inline(always)]
+    pub fn flat_normal(&self, i: usize) -> Vec3<P> {
+        self.flat.vec(i)
+    }
+
+    /// The point on the `i`-th: where it is, both normals and texture coordinates, and whether these are right.
+    #[inline(always)]
+    pub fn point(&self, i: usize) -> (Vec3<P>, [Vec3<P>; 2], Vec2<P>, bool) {
+        let (u, v) = (self.u[i], self.v[i]);
+        let bary = [P::one() - u - v, u, v];
+        let corners = [self.n0.vec(i), self.n1.vec(i), self.n2.vec(i)];
+        let (smooth, flip) = (self.smooth[i] != 0, self.flip[i] != 0);
+        let (normals, right) =
+            SurfaceInLine::normals(bary, self.flat.vec(i), corners, (smooth, flip));
+        let [a, b, c] = [self.u0[i], self.u1[i], self.u2[i]];
+        let [a, b, c] = [P::from_f32(a), P::from_f32(b), P::from_f32(c)];
+        let x = a * bary[0] + b * u + c * v;
+        let [a, b, c] = [self.v0_uv[i], self.v1_uv[i], self.v2_uv[i]];
+        let [a, b, c] = [P::from_f32(a), P::from_f32(b), P::from_f32(c)];
+        let y = a * bary[0] + b * u + c * v;
+        let mapped = self.mapped[i] != 0;
+        let uv = Vec2::new(P::select(mapped, x, u), P::select(mapped, y, v));
+        let p = self.v0.vec(i) + self.e1.vec(i) * u + self.e2.vec(i) * v;
+        (p, normals, uv, right)
     }
 
     #[inline(always)]
@@ -114,8 +149,9 @@ impl<P: Float> Corners<P> {
         ]
     }
 
+    /// The normals of the first `n`, and where these are `right`.
     #[inline(never)]
-    fn find_normals(&mut self, n: usize, right: &mut Lane<u32>) {
+    pub fn find_normals(&mut self, n: usize, right: &mut Lane<u32>) {
         for i in 0..whole(n) {
             let [e1, e2] = self.edges(i);
             let (flat, is_right) = SurfaceInLine::flat_normal(e1, e2);
@@ -137,27 +173,14 @@ impl<P: Float> Corners<P> {
     #[inline(never)]
     fn find_frames(&self, n: usize, right: &mut Lane<u32>, at: &mut Vertices<P>) {
         for i in 0..whole(n) {
-            let (u, v) = (self.u[i], self.v[i]);
-            let bary = [P::one() - u - v, u, v];
-            let normals = [self.n0.vec(i), self.n1.vec(i), self.n2.vec(i)];
-            let (smooth, flip) = (self.smooth[i] != 0, self.flip[i] != 0);
-            let ([n, n_geo], normal_is_right) =
-                SurfaceInLine::normals(bary, self.flat.vec(i), normals, (smooth, flip));
+            let (p, [n, n_geo], uv, normal_is_right) = self.point(i);
             let (frame, frame_is_right) = Frame::in_line(n, self.dp_du.vec(i));
-            let [a, b, c] = [self.u0[i], self.u1[i], self.u2[i]];
-            let [a, b, c] = [P::from_f32(a), P::from_f32(b), P::from_f32(c)];
-            let x = a * bary[0] + b * u + c * v;
-            let [a, b, c] = [self.v0_uv[i], self.v1_uv[i], self.v2_uv[i]];
-            let [a, b, c] = [P::from_f32(a), P::from_f32(b), P::from_f32(c)];
-            let y = a * bary[0] + b * u + c * v;
-            let mapped = self.mapped[i] != 0;
-            let p = self.v0.vec(i) + self.e1.vec(i) * u + self.e2.vec(i) * v;
             let si = SurfaceInteraction {
                 p,
                 t: P::zero(),
                 n_geo,
                 frame,
-                uv: Vec2::new(P::select(mapped, x, u), P::select(mapped, y, v)),
+                uv,
             };
             let met = self.met[i] != 0;
             at.put_if(met, i, &si);

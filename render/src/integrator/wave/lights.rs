@@ -2,19 +2,20 @@
 
 use ad_core::{Float, Vec2, Vec3};
 
+use super::lamps::FacesOfLamps;
 use super::lanes::{Field, Lane, Lanes, WAVE_SIZE, lanes, whole};
 use super::lookups::{Lookups, image};
 use super::state::Lights;
 use crate::emitter::{
     AnyEmitter, Area, Cone, Constant, Directional, Emission, Emitter, EmitterSample, Envmap,
-    LocalSums, MapPoint, towards_in_line,
+    LocalSums, MapPoint, Plane, Vmf, towards_in_line,
 };
 use crate::estimator::Strategy;
 use crate::integrator::vertex::light::{Met, counts_hits, has_rival, may_have_rival, met_weight};
 use crate::math::{NOWHERE, Rgb};
 use crate::params::Theta;
 use crate::scene::Scene;
-use crate::shape::{AnyShape, Rectangle, Shape, sample_cone};
+use crate::shape::{AnyShape, Cylinder, Disk, Mesh, Rectangle, Shape, sample_cone};
 use crate::texture::Texture;
 
 /// Emitters beyond so many are sampled one by one: few paths of a wave meet at one of them.
@@ -27,7 +28,7 @@ pub const FEW: usize = 8;
 /// What paths that choose an emitter do together. All numbers are copies, which no store of a loop can change.
 #[derive(Clone, Copy, Debug)]
 pub enum Together<'a> {
-    /// A rectangle that sends the same everywhere, and the surface it lies on.
+    /// A rectangle without a lobe, and the surface it lies on. So are all other shapes.
     Rectangle(Rectangle, u32),
     /// A ball that does: centre, radius, and surface.
     Ball([f32; 3], f32, u32),
@@ -35,6 +36,18 @@ pub enum Together<'a> {
     Point([f32; 3]),
     /// A spot: where it is, and where it shines.
     Spot([f32; 3], Cone),
+    /// A disk, and its surface.
+    Disk(Disk, u32),
+    /// A tube, and its surface.
+    Cylinder(Cylinder, u32),
+    /// A mesh, and its shape.
+    Mesh(&'a Mesh, u32),
+    /// A projector: where it is, and its image.
+    Projector([f32; 3], Plane),
+    /// A spot with an image: where it is, where it shines, and the image.
+    Slide([f32; 3], Cone, Plane),
+    /// A lobe around everything.
+    Lobe(&'a Vmf),
     /// Parallel light.
     Directional(&'a Directional),
     /// An even environment.
@@ -47,17 +60,30 @@ pub enum Together<'a> {
 pub fn together<'a>(scene: &'a Scene, emitter: &'a AnyEmitter) -> Option<Together<'a>> {
     Some(match emitter {
         AnyEmitter::Area(area) => {
+            if area.exponent != 0.0 {
+                return None;
+            }
             let surface = || scene.lights().surface(area.shape, 0);
             match &scene.shapes()[area.shape as usize] {
-                AnyShape::Rectangle(rectangle) if area.exponent == 0.0 => {
-                    Together::Rectangle(*rectangle, surface())
-                }
+                AnyShape::Rectangle(rectangle) => Together::Rectangle(*rectangle, surface()),
+                AnyShape::Disk(disk) => Together::Disk(*disk, surface()),
+                AnyShape::Cylinder(cylinder) => Together::Cylinder(*cylinder, surface()),
+                AnyShape::Mesh(mesh) => Together::Mesh(mesh, area.shape),
                 _ => {
                     let (center, radius) = even_ball(scene, area)?;
                     Together::Ball(center, radius, surface())
                 }
             }
         }
+        AnyEmitter::Projector(e) => {
+            let (position, plane) = e.lens();
+            Together::Projector(position, plane)
+        }
+        AnyEmitter::Slide(e) => {
+            let (position, cone, plane) = e.lens();
+            Together::Slide(position, cone, plane)
+        }
+        AnyEmitter::Vmf(e) => Together::Lobe(e),
         AnyEmitter::Point(e) => Together::Point(e.position()),
         AnyEmitter::Spot(e) => {
             let (position, cone) = e.cone();
@@ -68,6 +94,21 @@ pub fn together<'a>(scene: &'a Scene, emitter: &'a AnyEmitter) -> Option<Togethe
         AnyEmitter::Envmap(e) if e.is_known() => Together::Envmap(e),
         _ => return None,
     })
+}
+
+impl Together<'_> {
+    /// Whether something is looked up for each of its samples: then, only the paths that have chosen it are sampled.
+    #[inline(always)]
+    pub fn looks_up(&self) -> bool {
+        matches!(self, Self::Envmap(_) | Self::Mesh(..))
+    }
+
+    /// Whether it takes less time to gather the paths that have chosen it than to sample it path by path.
+    #[inline(always)]
+    pub fn gathers(&self) -> bool {
+        let flat = matches!(self, Self::Rectangle(..) | Self::Disk(..));
+        flat | self.looks_up() | matches!(self, Self::Cylinder(..) | Self::Lobe(_))
+    }
 }
 
 /// Centre and radius, if light comes from a ball that sends the same everywhere, and [`sample_cone`] is all of its samples.
@@ -123,6 +164,7 @@ pub struct Group<P> {
     numbers: [Lane<P>; 2],
     samples: Box<Samples<P>>,
     draws: Box<Draws>,
+    faces: FacesOfLamps<P>,
 }
 
 /// How samples of an environment map come about.
@@ -148,19 +190,20 @@ impl<P: Float> Group<P> {
             numbers: [Lane::zero(); 2],
             samples: Box::new(Samples::zero()),
             draws: Box::new(Draws::zero()),
+            faces: FacesOfLamps::new(),
         }
     }
 
-    /// Samples an emitter for `paths`, which stand at `p`, with two random numbers of each, and calls `put` with each
-    /// path and its sample, where that is right.
+    /// Samples an emitter for `paths`, which stand at `p` and have chosen it, with two random numbers of each. They take what
+    /// is right.
     #[inline(always)]
     pub fn sample(
         &mut self,
         scene: &Scene,
-        emitter: Together,
+        (index, emitter): (u32, Together),
         p: &Lanes<P>,
         [a, b]: [&Lane<P>; 2],
-        mut put: impl FnMut(usize, Option<EmitterSample<P>>),
+        lights: &mut Lights<P>,
     ) {
         let n = self.paths.len();
         let mut at = Lanes::zero();
@@ -170,24 +213,34 @@ impl<P: Float> Group<P> {
             (self.numbers[0][k], self.numbers[1][k]) = (a[i], b[i]);
         }
         let [a, b] = &self.numbers;
-        let surface = match emitter {
+        let mut surface = NOWHERE;
+        let mut on_mesh = false;
+        match emitter {
             Together::Envmap(e) => {
                 self.draws.find(e, n, [a, b]);
                 self.samples.of_envmap(e, n, &self.draws, a);
-                NOWHERE
             }
-            _ => self.samples.find(scene, emitter, n, &at, [a, b]),
-        };
+            Together::Mesh(mesh, shape) => {
+                self.faces.draw(scene, (mesh, shape), n, [a, b]);
+                self.samples.of_faces(&self.faces, n, &at);
+                on_mesh = true;
+            }
+            _ => surface = self.samples.find(scene, emitter, n, &at, [a, b]),
+        }
         let s = &*self.samples;
         for (k, &i) in self.paths.iter().enumerate() {
             let k = k % WAVE_SIZE;
-            if s.right[k] != 0 {
-                let sample = EmitterSample {
-                    surface,
-                    ..s.sample(k)
-                };
-                put(i, (s.pdf[k] > P::zero()).then_some(sample));
-            }
+            let pdf = s.pdf[k];
+            let sample = EmitterSample {
+                surface: if on_mesh {
+                    self.faces.surface(k)
+                } else {
+                    surface
+                },
+                pdf: P::select(pdf > P::zero(), pdf, P::zero()),
+                ..s.sample(k)
+            };
+            lights.take(i, index, s.right[k] != 0, &sample);
         }
     }
 
@@ -254,6 +307,20 @@ impl<P: Float> Samples<P> {
                 self.of_ball(center, radius, n, p, numbers);
                 return surface;
             }
+            Together::Disk(disk, surface) => {
+                self.of_disk(disk, n, p, numbers);
+                return surface;
+            }
+            Together::Cylinder(cylinder, surface) => {
+                self.of_cylinder(cylinder, n, p, numbers);
+                return surface;
+            }
+            Together::Projector(position, plane) => self.of_projector(position, plane, n, p),
+            Together::Slide(position, cone, plane) => {
+                self.of_spot(position, cone, n, p);
+                self.of_slide(plane, n);
+            }
+            Together::Lobe(e) => self.of_lobe(e, n, scene, numbers),
             Together::Point(position) => self.of_point(position, n, p),
             Together::Spot(position, cone) => self.of_spot(position, cone, n, p),
             Together::Directional(e) => {
@@ -262,7 +329,7 @@ impl<P: Float> Samples<P> {
                 self.of_all(&sample.unwrap_or(nothing()), n);
             }
             Together::Constant(e) => self.of_sky(e, n, scene, numbers),
-            Together::Envmap(_) => self.right = Lane::zero(),
+            Together::Envmap(_) | Together::Mesh(..) => self.right = Lane::zero(),
         }
         NOWHERE
     }
@@ -298,6 +365,72 @@ impl<P: Float> Samples<P> {
             self.put(k, &sample.unwrap_or(nothing()));
             // From within, it is seen otherwise.
             self.right[k] = u32::from(self.pdf[k] > P::zero());
+        }
+    }
+
+    #[inline(never)]
+    fn of_disk(&mut self, disk: Disk, n: usize, p: &Lanes<P>, [a, b]: [&Lane<P>; 2]) {
+        let still = Theta::still();
+        for k in 0..whole(n) {
+            let s = disk.sample_area(&still, [a[k], b[k]]);
+            let seen = s.seen_in_line(p.vec(k), s.n);
+            self.put(k, &Area::facing_in_line(NOWHERE, seen));
+        }
+    }
+
+    #[inline(never)]
+    fn of_cylinder(&mut self, cylinder: Cylinder, n: usize, p: &Lanes<P>, [a, b]: [&Lane<P>; 2]) {
+        for k in 0..whole(n) {
+            let seen = cylinder.sample_in_line(p.vec(k), [a[k], b[k]]);
+            self.put(k, &Area::facing_in_line(NOWHERE, seen));
+        }
+    }
+
+    #[inline(never)]
+    fn of_faces(&mut self, faces: &FacesOfLamps<P>, n: usize, p: &Lanes<P>) {
+        let Some(corners) = faces.corners() else {
+            return;
+        };
+        for k in 0..whole(n) {
+            let (s, flat, right) = faces.sample(corners, k);
+            let seen = s.seen_in_line(p.vec(k), flat);
+            self.put(k, &Area::facing_in_line(NOWHERE, seen));
+            self.right[k] = u32::from(right);
+        }
+    }
+
+    #[inline(never)]
+    fn of_projector(&mut self, position: [f32; 3], plane: Plane, n: usize, p: &Lanes<P>) {
+        for k in 0..whole(n) {
+            let ((d, distance, inverse_square), right) = towards_in_line(position, p.vec(k));
+            let (mut emission, is_met) = plane.profile_in_line(-d);
+            emission.falloff *= inverse_square;
+            let lit = is_met & (emission.falloff > P::zero()) & (emission.falloff <= P::MAX);
+            let pdf = P::select(lit, P::one(), P::zero());
+            self.put(
+                k,
+                &EmitterSample::without_surface(d, distance, pdf, emission),
+            );
+            self.right[k] = u32::from(right);
+        }
+    }
+
+    /// The image of a spot that has been sampled.
+    #[inline(never)]
+    fn of_slide(&mut self, plane: Plane, n: usize) {
+        for k in 0..whole(n) {
+            let (uv, _, ahead) = plane.meet_in_line(-self.d.vec(k));
+            (self.u[k], self.v[k]) = (uv.x, uv.y);
+            self.pdf[k] = P::select(ahead, self.pdf[k], P::zero());
+        }
+    }
+
+    #[inline(never)]
+    fn of_lobe(&mut self, e: &Vmf, n: usize, scene: &Scene, [a, b]: [&Lane<P>; 2]) {
+        let lights = scene.lights();
+        for k in 0..whole(n) {
+            let sample = e.sample(lights, Vec3::zero(), [a[k], b[k]]);
+            self.put(k, &sample.unwrap_or(nothing()));
         }
     }
 
@@ -429,6 +562,8 @@ lanes! {
         pdf_bsdf: Lane<P>,
         /// Of light that is found.
         weight: Lane<P>,
+        /// The light of a lobe.
+        falloff: Lane<P>,
     }
 }
 
@@ -488,6 +623,39 @@ impl<P: Float> Leaving<P> {
     }
 }
 
+impl<P: Float> Leaving<P> {
+    /// [`Leaving::meet`] of a lobe.
+    #[inline(always)]
+    pub fn meet_lobe<S: Strategy>(
+        &mut self,
+        e: &Vmf,
+        theta: &Theta<P>,
+        (d, pdf): (&Lanes<P>, &Lane<P>),
+        light: (u32, P),
+        mut put: impl FnMut(usize, Met<P>, Rgb<P>),
+    ) {
+        let (paths, at) = (&self.paths, &mut *self.lanes);
+        for (k, &i) in paths.iter().enumerate() {
+            let k = k % WAVE_SIZE;
+            at.d.put_vec(k, d.vec(i));
+            at.pdf_bsdf[k] = pdf[i];
+        }
+        at.see_lobe::<S>(e, paths.len(), light);
+        for (k, &i) in paths.iter().enumerate() {
+            let k = k % WAVE_SIZE;
+            if counts_hits::<S, P>(at.pdf_bsdf[k]) {
+                let emission = Emission {
+                    uv: Vec2::zero(),
+                    falloff: at.falloff[k],
+                };
+                let weight = at.weight[k];
+                let le = e.eval_in_line(theta, &emission);
+                put(i, Met { emission, weight }, le);
+            }
+        }
+    }
+}
+
 /// What [`Leaving::meet`] finds of `paths` that leave towards an even environment, where their directions had these densities.
 #[inline(always)]
 pub fn meet_evenly<P: Float, S: Strategy>(
@@ -526,6 +694,18 @@ impl<P: Float> Skies<P> {
             let ([band, cell], fx) = e.cell(&spot);
             (self.u[k], self.v[k], self.h[k]) = (spot.uv.x, spot.uv.y, spot.h);
             (self.band[k], self.cell[k], self.fx[k]) = (band, cell, fx);
+        }
+    }
+
+    #[inline(never)]
+    fn see_lobe<S: Strategy>(&mut self, e: &Vmf, n: usize, (depth, share): (u32, P)) {
+        for k in 0..whole(n) {
+            let (emission, pdf) = e.seen_in_line(self.d.vec(k));
+            let pdf_bsdf = self.pdf_bsdf[k];
+            let weight = met_weight::<S, P>(pdf_bsdf, pdf, share);
+            let sampled = has_rival::<S, P>(depth, pdf_bsdf);
+            self.falloff[k] = emission.falloff;
+            self.weight[k] = P::select(sampled, weight, P::one());
         }
     }
 
@@ -621,6 +801,42 @@ pub fn constant_radiances<P: Float>(
         rest += waits[i] as usize;
     }
     (others, rest)
+}
+
+/// The radiance of samples of emitters with images, one image after the other. Those of the `others` that are left.
+#[inline(never)]
+pub fn image_radiances<P: Float>(
+    theta: &Theta<P>,
+    emitters: &[AnyEmitter],
+    lookups: &mut Lookups<P>,
+    lights: &mut Lights<P>,
+    (others, rest): (&mut [usize; WAVE_SIZE], usize),
+) -> usize {
+    let mut left = rest;
+    for (index, e) in (0..).zip(emitters).take(MOST_TOGETHER) {
+        let Some(image) = image(e.radiance()).filter(|_| left > 0) else {
+            continue;
+        };
+        let (mut u, mut v) = (Lane::<P>::zero(), Lane::<P>::zero());
+        let (mut own, mut n, mut kept) = ([0; WAVE_SIZE], 0, 0);
+        for k in 0..left {
+            let i = others[k];
+            let is_own = lights.emitter[i] == index;
+            (own[n % WAVE_SIZE], others[kept % WAVE_SIZE]) = (i, i);
+            (u[n % WAVE_SIZE], v[n % WAVE_SIZE]) = (lights.u[i], lights.v[i]);
+            n += usize::from(is_own);
+            kept += usize::from(!is_own);
+        }
+        left = kept;
+        lookups.find(image, n, &u, &v);
+        lookups.expect(theta, image, n, 3);
+        for (k, &i) in own[..n].iter().enumerate() {
+            let radiance = lookups.value(theta, image, k);
+            let le = e.scaled(theta, radiance * lights.falloff[i]);
+            lights.le.put_rgb(i, le);
+        }
+    }
+    left
 }
 
 /// Forgets the densities of scattered directions where nothing scattered meets the light that is sampled.

@@ -15,11 +15,14 @@ mod balls;
 mod derivatives;
 mod faces;
 mod kinds;
+mod lamps;
 mod lanes;
 mod lights;
 mod lookups;
 mod numbers;
+mod readings;
 mod record;
+mod slopes;
 mod start;
 mod state;
 mod surfaces;
@@ -28,15 +31,16 @@ mod waiting;
 use ad_core::{Float, Vec2, Vec3};
 pub(super) use derivatives::LayerAdjoints;
 use derivatives::albedo;
-use kinds::{Kinds, has_two_sides, seen_from, side};
+use kinds::{Kinds, has_two_sides, seen_from, side, visit_textures};
 pub(super) use lanes::WAVE_SIZE;
 use lanes::{Field, Lane, Lanes, whole};
 use lights::{
-    FEW, Group, Leaving, MOST_TOGETHER, Together, constant_radiances, leave_deltas, meet_evenly,
-    sample_balls, together,
+    FEW, Group, Leaving, MOST_TOGETHER, constant_radiances, image_radiances, leave_deltas,
+    meet_evenly, sample_balls, together,
 };
 use lookups::{Lookups, image};
 use numbers::{bits, draw_units, sobol};
+use readings::{Reading, Readings, reads_images};
 pub(super) use record::Record;
 use smallvec::SmallVec;
 use state::{Bounces, Lights, Paths, Vertices};
@@ -56,7 +60,7 @@ use super::vertex::normals::{normals_pair, normals_weight, splits};
 use super::vertex::roulette::{play, probability, roulette_weight};
 use super::vertex::{MODE, assert_finite, has_more, may_go_on};
 use crate::accel::{Hit, PACKET_SIZE, RayPacket};
-use crate::bsdf::{Bsdf, Component, DiffuseLobe, Lobe, Material, Shading};
+use crate::bsdf::{Bsdf, Component, DiffuseLobe, Lobe, Material, Shading, TextureRef};
 use crate::emitter::{AnyEmitter, Area, Emitter};
 use crate::estimator::{Detached, Sampling, Strategy, differentiates_edges};
 use crate::guide::{Directions, Guide};
@@ -139,7 +143,12 @@ pub(super) struct Wave<P, X> {
     surfaces: Surfaces<P>,
     /// Plain vertices whose albedo has to be looked up.
     textured: Vec<usize>,
-    /// Vertices that are not, by kinds.
+    /// Others whose materials read images.
+    imaged: Vec<usize>,
+    /// Whether materials do, by their index.
+    reads_images: Vec<bool>,
+    readings: Readings<P>,
+    /// Vertices that are not plain, by kinds.
     kinds: Kinds<P>,
     /// Paths that leave the scene.
     leaving: Leaving<P>,
@@ -184,6 +193,9 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             at: Vertices::zero(),
             surfaces: Surfaces::new(),
             textured: Vec::with_capacity(WAVE_SIZE),
+            imaged: Vec::with_capacity(WAVE_SIZE),
+            reads_images: Vec::new(),
+            readings: Readings::new(),
             kinds: Kinds::new(),
             leaving: Leaving::new(),
             group: Group::new(),
@@ -436,7 +448,13 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         let paths = &mut self.paths;
         let mut any = false;
         self.textured.clear();
+        self.imaged.clear();
         self.kinds.clear();
+        if self.reads_images.is_empty() {
+            // It is always the same scene.
+            let materials = scene.materials().iter();
+            self.reads_images = materials.map(|m| reads_images(m)).collect();
+        }
         self.leaving.paths.clear();
         for i in 0..self.n {
             let ray = Ray::new(paths.o.vec(i), paths.d.vec(i)).leaving(paths.surface[i]);
@@ -541,14 +559,11 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                     }
                     plain = 1;
                 }
+                _ if self.reads_images[info.material as usize] => self.imaged.push(i),
                 _ => {
-                    let shading = Shading::new(*theta, self.at.uv(i));
-                    let wo = || {
-                        let wo = self.at.frame(i).to_local(-paths.d.vec(i));
-                        let behind = both & (wo.z < P::zero());
-                        seen_from(P::select(behind, -P::one(), P::one()), wo)
-                    };
-                    let taken = (self.kinds).take(i, material, &shading, &wo);
+                    let read = &mut Reading::new(Shading::new(*theta, self.at.uv(i)));
+                    let (at, d) = (&self.at, paths.d.vec(i));
+                    let taken = (self.kinds).take(i, material, read, &|| at.seen_along(i, d));
                     self.at.sorted[i] = u32::from(taken);
                 }
             }
@@ -560,7 +575,41 @@ impl<P: Float, X: Sampler> Wave<P, X> {
         if !self.textured.is_empty() {
             self.find_albedos(scene, theta);
         }
+        if !self.imaged.is_empty() {
+            self.read_images(scene, theta);
+        }
         any
+    }
+
+    /// Sorts the vertices whose materials read images, one material after the other.
+    #[inline(never)]
+    fn read_images(&mut self, scene: &Scene, theta: &Theta<P>) {
+        let (at, paths) = (&mut self.at, &self.paths);
+        while let Some(&first) = self.imaged.first() {
+            let of = (at.material[first], at.back[first]);
+            let (material, _) = side(&scene.materials()[of.0 as usize], of.1 != 0);
+            let (mut u, mut v) = (Lane::<P>::zero(), Lane::<P>::zero());
+            let mut alike = [0; WAVE_SIZE];
+            let mut n = 0;
+            self.imaged.retain(|&i| {
+                let same = (at.material[i], at.back[i]) == of;
+                if same {
+                    let uv = own_coordinates(material, at.uv(i));
+                    (u[n], v[n], alike[n]) = (uv.x, uv.y, i);
+                    n += 1;
+                }
+                !same
+            });
+            let visit = |f: &mut dyn FnMut(TextureRef)| visit_textures(material, f);
+            self.readings.look(theta, &visit, n, [&u, &v]);
+            for (k, &i) in alike[..n].iter().enumerate() {
+                let read = &mut self.readings.at(Shading::new(*theta, at.uv(i)), k);
+                let (vertices, d) = (&*at, paths.d.vec(i));
+                let wo = || vertices.seen_along(i, d);
+                let taken = (self.kinds).take(i, material, read, &wo);
+                at.sorted[i] = u32::from(taken);
+            }
+        }
     }
 
     /// Adds the light that comes from outside along the edges that leave the scene.
@@ -596,6 +645,10 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                 AnyEmitter::Envmap(e) if e.is_known() => {
                     let of = (&d, &pdf);
                     (self.leaving).meet::<S>(e, theta, &mut self.lookups, of, light, put);
+                    continue;
+                }
+                AnyEmitter::Vmf(e) => {
+                    (self.leaving).meet_lobe::<S>(e, theta, (&d, &pdf), light, put);
                     continue;
                 }
                 AnyEmitter::Constant(e) => {
@@ -644,7 +697,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             let alike = &alike[..n];
             if let Some(image) = image(texture) {
                 lookups.find(image, n, &u, &v);
-                lookups.expect(theta, image, n);
+                lookups.expect(theta, image, n, 3);
                 for (k, &i) in alike.iter().enumerate() {
                     at.albedo.put_rgb(i, lookups.value(theta, image, k));
                 }
@@ -738,13 +791,13 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             let Some(together) = together(scene, emitter) else {
                 continue;
             };
-            if few && !matches!(together, Together::Envmap(_)) {
+            if few && !together.looks_up() {
                 let emitter = (index, together);
                 (self.group).sample_all(scene, emitter, self.n, &at.p, [a, b], lights);
                 continue;
             }
             // All others take less time one by one than to be gathered.
-            if !matches!(together, Together::Rectangle(..) | Together::Envmap(_)) {
+            if !together.gathers() {
                 continue;
             }
             let mut chosen = [0; WAVE_SIZE];
@@ -758,11 +811,7 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             }
             self.group.paths.clear();
             self.group.paths.extend_from_slice(&chosen[..n]);
-            (self.group).sample(scene, together, &at.p, [a, b], |i, sample| {
-                lights.put(i, (index, lights.kept[i]), lights.share[i], sample);
-                // There is nothing more to do.
-                lights.share[i] = P::zero();
-            });
+            (self.group).sample(scene, (index, together), &at.p, [a, b], lights);
         }
         // All others, and spheres from within.
         let mut any = false;
@@ -951,28 +1000,15 @@ impl<P: Float, X: Sampler> Wave<P, X> {
                 }
             }
             _ => {
-                // The first image around everything, of all others at once.
-                let around = scene.infinite_emitters().iter().find_map(|&index| {
-                    let e = &emitters[index as usize];
-                    Some((index, e, image(e.radiance())?))
-                });
-                if let Some((.., image)) = around {
-                    self.lookups.find(image, self.n, &lights.u, &lights.v);
-                }
-                let (others, rest) = constant_radiances(theta, emitters, self.n, lights);
                 // Where there is no sample, any radiance is right.
+                let (mut others, rest) = constant_radiances(theta, emitters, self.n, lights);
+                let images = (&mut others, rest);
+                let rest = image_radiances(theta, emitters, &mut self.lookups, lights, images);
                 for &i in &others[..rest] {
-                    let le = match around {
-                        Some((index, e, image)) if index == lights.emitter[i] => {
-                            let radiance = self.lookups.value(theta, image, i);
-                            e.scaled(theta, radiance * lights.falloff[i])
-                        }
-                        _ => {
-                            let e = &emitters[lights.emitter[i] as usize];
-                            e.eval_in_line(theta, &lights.emission(i))
-                        }
-                    };
-                    lights.le.put_rgb(i, le);
+                    let e = &emitters[lights.emitter[i] as usize];
+                    lights
+                        .le
+                        .put_rgb(i, e.eval_in_line(theta, &lights.emission(i)));
                 }
             }
         }
@@ -1245,6 +1281,15 @@ impl<P: Float, X: Sampler> Wave<P, X> {
             let is_of_use = looks_for_light::<S, P>(paths.pdf[i], meets[i] != 0);
             self.bounces.continues[i] &= u32::from(is_of_use);
         }
+    }
+}
+
+/// Where a material reads its images, at a point with these coordinates.
+#[inline(always)]
+fn own_coordinates<P: Float>(material: &Material, uv: Vec2<P>) -> Vec2<P> {
+    match material {
+        Material::Charted(m) => m.chart().own(uv).0,
+        _ => uv,
     }
 }
 

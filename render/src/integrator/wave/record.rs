@@ -2,10 +2,10 @@
 
 use ad_core::{Float, Vec2, Vec3};
 
-use super::lanes::{Field, Lane, Lanes, WAVE_SIZE, whole};
+use super::lanes::{Field, Lane, Lanes, WAVE_SIZE, lanes, whole};
 use super::state::Paths;
 use super::{Log, Wave};
-use crate::bsdf::{Component, Part};
+use crate::bsdf::{Component, Material, Part, Use};
 use crate::emitter::Emission;
 use crate::estimator::{Edges, Strategy, differentiates_edges};
 use crate::integrator::active::Active;
@@ -25,6 +25,16 @@ use crate::scene::Scene;
 pub trait LayerSink<P: Float>: DerivativeSink<P> {
     /// Albedos of the plain vertices of a layer, where `wanted` is not zero.
     fn albedos(&mut self, scene: &Scene, layer: &Layer<P>, wanted: &Lane<u32>, d: &Lanes<P>);
+    /// Values of a material at a vertex that is not plain; `index` is that of the material.
+    fn other(
+        &mut self,
+        (id, _index, material): (usize, u32, &Material),
+        uv: Vec2<P>,
+        wo: Vec3<P>,
+        uses: &[Use<P>],
+    ) {
+        self.vertex(id, material, uv, wo, uses, MODE);
+    }
     /// Called after the last layer.
     fn finish(&mut self) {}
 }
@@ -54,8 +64,11 @@ pub struct Layer<P> {
     direct: Lanes<P>,
     /// One over the density of the scattered direction times the value of a white surface; zero where a path ends.
     bounce: Lane<P>,
-    /// Vertices that are not plain, by their places.
-    others: Vec<(usize, Other<P>)>,
+    /// Vertices that are not plain, once there were any, and whether there are.
+    others: Option<Box<Others<P>>>,
+    any_other: bool,
+    /// What their scattered directions belong to.
+    components: [Component; WAVE_SIZE],
     /// Light that was hit at the end of the edges from here, by the places that they left.
     hits: Vec<(u32, Rgb<P>)>,
     /// Vertices whose light is differentiated by itself, in the order of their places.
@@ -91,20 +104,33 @@ struct FoundFrom<P> {
     lights: u32,
 }
 
-/// A vertex of any material.
-#[derive(Clone, Copy, Debug)]
-struct Other<P> {
-    wo: Vec3<P>,
-    /// Direction of sampled light, value of the BSDF, and radiance times weight.
-    light: Option<(Vec3<P>, Rgb<P>, Rgb<P>)>,
-    /// Scattered direction, value of the BSDF, and one over density and probability of surviving.
-    bounce: Option<(Vec3<P>, Component, Rgb<P>, P)>,
-    /// Whether the change of normals has samples of its own.
-    splits: bool,
-    /// Light for that: radiance times weight of the sampled light.
-    for_normals: Rgb<P>,
-    /// Its samples, as a range of [`Record::normals`].
-    normals: (u32, u32),
+lanes! {
+    /// Vertices of any material, by their places. They are without sampled light, or scattered direction, where that is worth
+    /// nothing.
+    Others {
+        /// Whether there is one.
+        there: Lane<u32>,
+        wo: Lanes<P>,
+        /// Whether light was sampled and seen.
+        lit: Lane<u32>,
+        /// Direction of sampled light, value of the BSDF, and radiance times weight.
+        light_wi: Lanes<P>,
+        light_f: Lanes<P>,
+        light: Lanes<P>,
+        /// Whether the path goes on.
+        goes_on: Lane<u32>,
+        /// Scattered direction, value of the BSDF, and one over density and probability of surviving.
+        bounce_wi: Lanes<P>,
+        bounce_f: Lanes<P>,
+        bounce: Lane<P>,
+        /// Whether the change of normals has samples of its own.
+        splits: Lane<u32>,
+        /// Light for that: radiance times weight of the sampled light.
+        for_normals: Lanes<P>,
+        /// Its samples, as a range of [`Record::normals`].
+        normals_begin: Lane<u32>,
+        normals_end: Lane<u32>,
+    }
 }
 
 /// Light of an emitter that is differentiated.
@@ -153,7 +179,9 @@ impl<P: Float> Layer<P> {
             albedo: Lanes::zero(),
             direct: Lanes::zero(),
             bounce: Lane::zero(),
-            others: Vec::new(),
+            others: None,
+            any_other: false,
+            components: [Component::Continuous; WAVE_SIZE],
             hits: Vec::new(),
             separate: Vec::new(),
             entry: Lane::zero(),
@@ -282,35 +310,11 @@ impl<'a, P: Float> Record<'a, P> {
             for (at, light) in &layer.found_light {
                 by_themselves.add_rgb(*at as usize % WAVE_SIZE, *light);
             }
-            let mut separate = layer.separate.iter().peekable();
-            for &(i, ref other) in &layer.others {
-                let separate = separate.next_if(|f| f.place as usize == i);
-                let weighed = separate.is_some_and(|f| f.connected.is_some());
-                let index = layer.material[i];
-                let d = layer.d.rgb(i);
-                let mut l = Rgb::black();
-                let mut uses = Uses::default();
-                if let Some((wi, f, light)) = other.light {
-                    l += f * light;
-                    let normals = other.splits.then_some(other.for_normals);
-                    uses.sampled(wi, light, normals, weighed, d);
-                }
-                let (first, end) = other.normals;
-                for &(wi, li) in &self.normals[first as usize..end as usize] {
-                    let d = self.d.rgb(layer.id[i] as usize % WAVE_SIZE) * li;
-                    uses.push(wi, Component::Continuous, Part::Normals, d);
-                }
-                if let Some((wi, component, f, weight)) = other.bounce {
-                    let light = arrives.rgb(i) * weight;
-                    l += f * (light + by_themselves.rgb(i) * weight);
-                    let part = part_of(component, other.splits);
-                    uses.push(wi, component, part, d * light);
-                }
-                leaves.put_rgb(i, l);
-                let id = layer.id[i] as usize % WAVE_SIZE;
-                if layer.differentiated[i] != 0 && counts[id] != 0 && !uses.0.is_empty() {
-                    let material = &scene.materials()[index as usize];
-                    sink.vertex(id, material, layer.uv(i), other.wo, &uses.0, MODE);
+            if let Some(others) = layer.others.as_ref().filter(|_| layer.any_other) {
+                others.reflect(layer.n, [&arrives, &by_themselves], &mut leaves);
+                let (places, n) = layer.differentiated_others(others, counts);
+                for &i in &places[..n] {
+                    self.differentiate_other(layer, others, i, arrives.rgb(i), sink);
                 }
             }
             let mut wanted = Lane::<u32>::zero();
@@ -329,7 +333,166 @@ impl<'a, P: Float> Record<'a, P> {
     }
 }
 
+impl<P: Float> Record<'_, P> {
+    /// Hands `sink` the derivatives at vertex `i` of a layer, which is not plain; the light `arrives` along the scattered
+    /// direction.
+    #[inline(always)]
+    fn differentiate_other(
+        &self,
+        layer: &Layer<P>,
+        at: &Others<P>,
+        i: usize,
+        arrives: Rgb<P>,
+        sink: &mut impl LayerSink<P>,
+    ) {
+        let id = layer.id[i] as usize % WAVE_SIZE;
+        let d = layer.d.rgb(i);
+        let splits = at.splits[i] != 0;
+        let mut uses = Uses::default();
+        if at.lit[i] != 0 {
+            let normals = splits.then(|| at.for_normals.rgb(i));
+            let separate = (layer.entry[i].checked_sub(1)).map(|k| &layer.separate[k as usize]);
+            let weighed = separate.is_some_and(|f| f.connected.is_some());
+            uses.sampled(at.light_wi.vec(i), at.light.rgb(i), normals, weighed, d);
+        }
+        let normals = at.normals_begin[i] as usize..at.normals_end[i] as usize;
+        for &(wi, li) in &self.normals[normals] {
+            let d = self.d.rgb(id) * li;
+            uses.push(wi, Component::Continuous, Part::Normals, d);
+        }
+        if at.goes_on[i] != 0 {
+            let component = layer.components[i];
+            let light = arrives * at.bounce[i];
+            let part = part_of(component, splits);
+            uses.push(at.bounce_wi.vec(i), component, part, d * light);
+        }
+        if !uses.0.is_empty() {
+            let index = layer.material[i];
+            let material = &self.scene.materials()[index as usize];
+            let (uv, wo) = (layer.uv(i), at.wo.vec(i));
+            sink.other((id, index, material), uv, wo, &uses.0);
+        }
+    }
+}
+
+impl<P: Float> Record<'_, P> {
+    /// Keeps what light of the last layer is differentiated by itself.
+    #[inline(never)]
+    fn keep_separate<X>(&mut self, wave: &Wave<P, X>) {
+        let (at, lights, bounces) = (&wave.at, &wave.lights, &wave.bounces);
+        let (scene, edges) = (self.scene, self.edges);
+        let layer = &mut *self.layers[self.used - 1];
+        for i in (0..wave.n).filter(|&i| at.plain[i] == 0 && at.differentiated[i] != 0) {
+            let splits = wave.splits && at.splits[i] != 0;
+            let wo = wave.wo.vec(i);
+            let weighed = lights.shadow_t[i] > P::zero()
+                && weighs(self.weighs, &scene.emitters()[lights.emitter[i] as usize]);
+            let connected = weighed.then(|| Connected {
+                wi: lights.wi.vec(i),
+                le: lights.le.rgb(i),
+                mis_pdf: lights.pdf[i],
+                kept: lights.kept[i],
+                splits,
+            });
+            let component = wave.components[i];
+            let goes_on = bounces.continues[i] != 0 && edges.contain(component);
+            let [.., a, b, c, _] = &wave.numbers;
+            let departure = goes_on.then(|| Departure {
+                material: at.material[i],
+                exit: at.exit(i),
+                si: at.interaction(i),
+                wo,
+                u: [a[i], b[i], c[i]],
+                inverse_survival: bounces.inverse_survival[i],
+                part: part_of(component, splits),
+            });
+            if connected.is_some() || departure.is_some() {
+                layer.entry[i] = layer.separate.len() as u32 + 1;
+                layer.separate.push(SeparateVertex {
+                    place: i as u32,
+                    wo,
+                    departure,
+                    connected,
+                });
+            }
+        }
+    }
+}
+
+impl<P: Float> Others<P> {
+    /// The radiance that leaves the first `n` places, where there is one of these vertices: made of what arrives along
+    /// scattered directions, the second part of which is differentiated by itself.
+    #[inline(never)]
+    fn reflect(&self, n: usize, [arrives, apart]: [&Lanes<P>; 2], leaves: &mut Lanes<P>) {
+        for i in 0..whole(n) {
+            let (lit, goes_on) = (self.lit[i] != 0, self.goes_on[i] != 0);
+            let weight = self.bounce[i];
+            let direct = self.light_f.rgb(i) * self.light.rgb(i);
+            let all = arrives.rgb(i) * weight + apart.rgb(i) * weight;
+            let bounced = self.bounce_f.rgb(i) * all;
+            let l = Rgb::select(lit, direct, Rgb::black())
+                + Rgb::select(goes_on, bounced, Rgb::black());
+            leaves.put_rgb(i, Rgb::select(self.there[i] != 0, l, leaves.rgb(i)));
+        }
+    }
+}
+
 impl<P: Float> Layer<P> {
+    /// Keeps the vertices that are not plain.
+    #[inline(never)]
+    fn keep_others<X>(&mut self, wave: &Wave<P, X>) {
+        let (at, lights, bounces) = (&wave.at, &wave.lights, &wave.bounces);
+        let others = &mut **(self.others).get_or_insert_with(|| Box::new(Others::zero()));
+        self.any_other = true;
+        for i in 0..whole(wave.n) {
+            others.there[i] = u32::from(at.plain[i] == 0);
+            others.wo.put_vec(i, wave.wo.vec(i));
+            others.lit[i] = u32::from(lights.shadow_t[i] > P::zero());
+            others.light_wi.put_vec(i, lights.wi.vec(i));
+            others.light_f.put_rgb(i, lights.f.rgb(i));
+            let light = lights.le.rgb(i) * lights.weight[i];
+            others.light.put_rgb(i, light);
+            others.goes_on[i] = bounces.continues[i];
+            others.bounce_wi.put_vec(i, bounces.wi.vec(i));
+            others.bounce_f.put_rgb(i, bounces.f.rgb(i));
+            others.bounce[i] = bounces.weight[i] * bounces.inverse_survival[i];
+        }
+        self.components = wave.components;
+        others.splits = Lane::zero();
+        (others.normals_begin, others.normals_end) = (Lane::zero(), Lane::zero());
+        if wave.splits {
+            let mut first = wave.before;
+            for i in (0..wave.n).filter(|&i| at.plain[i] == 0) {
+                let branches = match at.splits[i] {
+                    0 => &[],
+                    _ => &wave.branches[first..],
+                };
+                let end = first + branches.iter().take_while(|b| b.at == i).count();
+                others.splits[i] = at.splits[i];
+                let light = lights.le.rgb(i) * lights.normals_weight[i];
+                others.for_normals.put_rgb(i, light);
+                (others.normals_begin[i], others.normals_end[i]) = (first as u32, end as u32);
+                first = end;
+            }
+        }
+    }
+
+    /// The places of vertices that are not plain and that are differentiated, of paths that count.
+    #[inline(always)]
+    fn differentiated_others(
+        &self,
+        others: &Others<P>,
+        counts: &Lane<u32>,
+    ) -> ([usize; WAVE_SIZE], usize) {
+        let (mut places, mut found) = ([0; WAVE_SIZE], 0);
+        for i in 0..self.n.min(WAVE_SIZE) {
+            places[found % WAVE_SIZE] = i;
+            let id = self.id[i] as usize % WAVE_SIZE;
+            found += (others.there[i] & self.differentiated[i] & counts[id]) as usize;
+        }
+        (places, found)
+    }
+
     #[inline(always)]
     pub fn uv(&self, i: usize) -> Vec2<P> {
         Vec2::new(self.u[i], self.v[i])
@@ -418,7 +581,6 @@ impl<P: Float> Log<P> for Record<'_, P> {
         let n = wave.n;
         let (paths, at, lights, bounces) = (&mut wave.paths, &wave.at, &wave.lights, &wave.bounces);
         layer.n = n;
-        layer.others.clear();
         layer.hits.clear();
         layer.separate.clear();
         if self.edges != Edges::None {
@@ -449,66 +611,20 @@ impl<P: Float> Log<P> for Record<'_, P> {
             let d = self.d.rgb(paths.id[i] as usize % WAVE_SIZE) * paths.beta.rgb(i);
             layer.d.put_rgb(i, d);
         }
-        let mut first = wave.before;
+        let mut plain = true;
         for i in 0..n {
-            if at.plain[i] == 0 {
-                let light = (lights.shadow_t[i] > P::zero()).then(|| {
-                    let light = lights.le.rgb(i) * lights.weight[i];
-                    (lights.wi.vec(i), lights.f.rgb(i), light)
-                });
-                let bounce = (bounces.continues[i] != 0).then(|| {
-                    let weight = bounces.weight[i] * bounces.inverse_survival[i];
-                    let wi = bounces.wi.vec(i);
-                    (wi, wave.components[i], bounces.f.rgb(i), weight)
-                });
-                let splits = wave.splits && at.splits[i] != 0;
-                let branches = if splits { &wave.branches[first..] } else { &[] };
-                let end = first + branches.iter().take_while(|b| b.at == i).count();
-                let wo = wave.wo.vec(i);
-                if self.edges != Edges::None && at.differentiated[i] != 0 {
-                    let e = || &self.scene.emitters()[lights.emitter[i] as usize];
-                    let weighed = light.is_some() && weighs(self.weighs, e());
-                    let connected = weighed.then(|| Connected {
-                        wi: lights.wi.vec(i),
-                        le: lights.le.rgb(i),
-                        mis_pdf: lights.pdf[i],
-                        kept: lights.kept[i],
-                        splits,
-                    });
-                    let component = wave.components[i];
-                    let goes_on = bounce.is_some() && self.edges.contain(component);
-                    let [.., a, b, c, _] = &wave.numbers;
-                    let departure = goes_on.then(|| Departure {
-                        material: at.material[i],
-                        exit: at.exit(i),
-                        si: at.interaction(i),
-                        wo,
-                        u: [a[i], b[i], c[i]],
-                        inverse_survival: bounces.inverse_survival[i],
-                        part: part_of(component, splits),
-                    });
-                    if connected.is_some() || departure.is_some() {
-                        layer.entry[i] = layer.separate.len() as u32 + 1;
-                        layer.separate.push(SeparateVertex {
-                            place: i as u32,
-                            wo,
-                            departure,
-                            connected,
-                        });
-                    }
-                }
-                let other = Other {
-                    wo,
-                    light,
-                    bounce,
-                    splits,
-                    for_normals: lights.le.rgb(i) * lights.normals_weight[i],
-                    normals: (first as u32, end as u32),
-                };
-                first = end;
-                layer.others.push((i, other));
+            plain &= at.plain[i] != 0;
+        }
+        if plain {
+            layer.any_other = false;
+        } else {
+            layer.keep_others(wave);
+            if self.edges != Edges::None {
+                self.keep_separate(wave);
             }
         }
+        let layer = &mut *self.layers[self.used - 1];
+        let (paths, lights) = (&wave.paths, &wave.lights);
         if self.active.differentiates_emission() {
             for i in 0..n {
                 let emitter = lights.emitter[i];

@@ -2,6 +2,7 @@
 
 use ad_core::{Float, Vec2, Vec3};
 
+use super::kinds::seen_from;
 use super::lanes::{Field, Lane, Lanes, lanes};
 use crate::emitter::{Emission, EmitterSample};
 use crate::integrator::vertex::interest::PathInterest;
@@ -134,6 +135,14 @@ impl<P: Float> Vertices<P> {
     #[inline(always)]
     pub fn uv(&self, i: usize) -> Vec2<P> {
         Vec2::new(self.u[i], self.v[i])
+    }
+
+    /// From where a path along `d` sees vertex `i`, in the local frame of the side that is seen.
+    #[inline(always)]
+    pub fn seen_along(&self, i: usize, d: Vec3<P>) -> Vec3<P> {
+        let wo = self.frame(i).to_local(-d);
+        let behind = (self.both[i] != 0) & (wo.z < P::zero());
+        seen_from(P::select(behind, -P::one(), P::one()), wo)
     }
 
     #[inline(always)]

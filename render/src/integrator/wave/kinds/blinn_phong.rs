@@ -3,8 +3,9 @@
 use ad_core::{Float, Vec3};
 
 use super::super::lanes::{Field, Lane, Lanes, lanes, whole};
+use super::super::readings::Reading;
 use super::{CONTINUOUS, Members, Scattering};
-use crate::bsdf::{BlinnPhongLobe, Leaf, Material, Shading};
+use crate::bsdf::{BlinnPhongLobe, Leaf, Material};
 
 lanes! {
     /// Blinn-Phong materials.
@@ -49,15 +50,20 @@ impl<P: Float> Members<P> for Phong<P> {
     }
 
     #[inline(always)]
-    fn gather(&mut self, k: usize, material: &Material, at: &Shading<P>) -> bool {
+    fn gather(&mut self, k: usize, material: &Material, read: &mut Reading<P>) -> bool {
         let Material::BlinnPhong(m) = material else {
             return false;
         };
-        let lobe = m.lobe(&mut &*at);
+        let lobe = m.lobe(read);
         self.diffuse.put_rgb(k, lobe.diffuse);
         self.specular.put_rgb(k, lobe.specular);
         (self.exponent[k], self.share[k]) = (lobe.exponent, lobe.share);
         true
+    }
+
+    #[inline(always)]
+    fn repeat(&mut self, k: usize, earlier: usize) {
+        self.relocate(k, earlier);
     }
 
     #[inline(never)]

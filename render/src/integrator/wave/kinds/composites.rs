@@ -4,10 +4,12 @@
 use ad_core::{Float, Vec3};
 
 use super::super::lanes::{Field, Lane, Lanes, WAVE_SIZE, lanes, whole};
+use super::super::readings::Reading;
 use super::{Found, Leaves, Scattered, Valued, seen_from, sort};
 use crate::bsdf::nesting::{choice, choose};
-use crate::bsdf::{Component, DeltaKind, Material, Shading, shadowing, tilted, tilts};
-use crate::integrator::vertex::MODE;
+use crate::bsdf::{
+    Bsdf, Component, DeltaKind, Material, Reader, TextureRef, shadowing, tilted, tilts,
+};
 use crate::math::{Frame, Rgb};
 
 /// What a vertex is made of: all are blends of two parts. The first part of a mask is its hole; what is only tilted has
@@ -26,7 +28,7 @@ struct Mixture<'a, P> {
 struct Tilt<P>(Vec3<P>, bool);
 
 impl<'a, P: Float> Mixture<'a, P> {
-    fn of(material: &'a Material, at: &Shading<P>, wo: Vec3<P>) -> Option<Self> {
+    fn of(material: &'a Material, read: &mut Reading<P>, wo: Vec3<P>) -> Option<Self> {
         let tilted = |nested: &'a Material, tilt| Self {
             parts: [None, Some(nested)],
             weight: P::one(),
@@ -36,7 +38,7 @@ impl<'a, P: Float> Mixture<'a, P> {
         };
         Some(match material {
             Material::Mask(m) => {
-                let weight = m.opacity(at);
+                let weight = read.scalar(m.texture());
                 Self {
                     parts: [None, Some(m.nested())],
                     weight,
@@ -46,7 +48,7 @@ impl<'a, P: Float> Mixture<'a, P> {
                 }
             }
             Material::Blend(m) => {
-                let [_, weight] = m.shares(at);
+                let weight = read.scalar(m.texture());
                 let [a, b] = m.parts() else {
                     return None;
                 };
@@ -59,11 +61,16 @@ impl<'a, P: Float> Mixture<'a, P> {
                 }
             }
             Material::NormalMap(m) => {
-                let tilt = Tilt(m.vector(at, wo, MODE), m.corrections().shadowing);
+                let normals = read.footprint(m.map());
+                let vector = m.vector_between(&read.at, &normals, wo);
+                let tilt = Tilt(vector, m.corrections().shadowing);
                 tilted(m.nested(), tilt)
             }
             Material::BumpMap(m) => {
-                let tilt = Tilt(m.vector(at, wo, MODE), m.corrections().shadowing);
+                let heights = read.slopes(m.height());
+                let scale = read.scalar(m.scale());
+                let vector = m.vector_between(&read.at, &heights, scale, wo);
+                let tilt = Tilt(vector, m.corrections().shadowing);
                 tilted(m.nested(), tilt)
             }
             _ => return None,
@@ -78,6 +85,43 @@ fn leaf(part: &Material) -> Option<(&Material, bool)> {
         _ => (part, false),
     };
     sort(leaf).map(|_| (leaf, both))
+}
+
+/// Calls `f` with every texture of a material, in the order in which [`super::Kinds::take`] reads them; with none where that
+/// depends on the side that is seen.
+pub fn visit_textures(material: &Material, f: &mut dyn FnMut(TextureRef)) {
+    let of_leaf = |part: &Material, f: &mut dyn FnMut(TextureRef)| {
+        if let Some((leaf, _)) = leaf(part) {
+            leaf.visit_textures(f);
+        }
+    };
+    match material {
+        Material::Charted(m) => visit_textures(m.nested(), f),
+        Material::TwoSided(m) => {
+            if let Some(both) = m.same() {
+                visit_textures(both, f);
+            }
+        }
+        Material::Mask(m) => {
+            f(TextureRef::Scalar(m.texture()));
+            of_leaf(m.nested(), f);
+        }
+        Material::Blend(m) => {
+            f(TextureRef::Scalar(m.texture()));
+            for part in m.parts() {
+                of_leaf(part, f);
+            }
+        }
+        Material::NormalMap(m) => {
+            m.visit_tilt(f);
+            of_leaf(m.nested(), f);
+        }
+        Material::BumpMap(m) => {
+            m.visit_tilt(f);
+            of_leaf(m.nested(), f);
+        }
+        _ => material.visit_textures(f),
+    }
 }
 
 lanes! {
@@ -256,10 +300,19 @@ impl<P: Float> Composites<P> {
 
     /// Takes path `i` in, if its material is made of leaves of which there are kinds.
     #[inline(never)]
-    pub fn take(&mut self, i: usize, material: &Material, at: &Shading<P>, wo: Vec3<P>) -> bool {
-        let (material, at) = match material {
-            Material::Charted(m) => (&**m.nested(), m.inside(at)),
-            _ => (material, *at),
+    pub fn take<'a>(
+        &mut self,
+        i: usize,
+        material: &'a Material,
+        read: &mut Reading<'a, P>,
+        wo: Vec3<P>,
+    ) -> bool {
+        let material = match material {
+            Material::Charted(m) => {
+                read.at = m.inside(&read.at);
+                &**m.nested()
+            }
+            _ => material,
         };
         let (material, turn) = match material {
             Material::TwoSided(m) => {
@@ -269,7 +322,7 @@ impl<P: Float> Composites<P> {
             }
             _ => (material, P::one()),
         };
-        let Some(mixture) = Mixture::of(material, &at, seen_from(turn, wo)) else {
+        let Some(mixture) = Mixture::of(material, read, seen_from(turn, wo)) else {
             return false;
         };
         let k = self.paths.len() % WAVE_SIZE;
@@ -280,7 +333,7 @@ impl<P: Float> Composites<P> {
         let mut both = [0; 2];
         for side in 0..2 {
             if let Some((leaf, same)) = mixture.parts[side].and_then(leaf) {
-                self.parts[side].take(k, leaf, &at);
+                self.parts[side].take(k, leaf, read);
                 both[side] = u32::from(same);
             }
         }
@@ -359,8 +412,8 @@ impl<P: Float> Composites<P> {
         self.find();
         let lanes = &*self.lanes;
         out.extend(self.paths.iter().enumerate().map(|(k, &i)| {
-            let both = || (lanes.f.rgb(k), lanes.pdf[k]);
-            (i, (lanes.right[k] != 0).then(both))
+            let both = (lanes.f.rgb(k), lanes.pdf[k]);
+            (i, (lanes.right[k] != 0).then_some(both))
         }));
     }
 

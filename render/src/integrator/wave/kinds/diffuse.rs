@@ -3,8 +3,9 @@
 use ad_core::{Float, Vec3};
 
 use super::super::lanes::{Field, Lanes, lanes, whole};
+use super::super::readings::Reading;
 use super::{CONTINUOUS, Members, Scattering};
-use crate::bsdf::{DiffuseLobe, Leaf, Lobe, Material, Shading};
+use crate::bsdf::{DiffuseLobe, Leaf, Lobe, Material};
 use crate::integrator::vertex::MODE;
 
 lanes! {
@@ -22,13 +23,18 @@ impl<P: Float> Members<P> for Matt<P> {
     }
 
     #[inline(always)]
-    fn gather(&mut self, k: usize, material: &Material, at: &Shading<P>) -> bool {
+    fn gather(&mut self, k: usize, material: &Material, read: &mut Reading<P>) -> bool {
         let Material::Diffuse(m) = material else {
             return false;
         };
-        let lobe = m.lobe(&mut &*at);
+        let lobe = m.lobe(read);
         self.reflectance.put_rgb(k, lobe.reflectance);
         true
+    }
+
+    #[inline(always)]
+    fn repeat(&mut self, k: usize, earlier: usize) {
+        self.relocate(k, earlier);
     }
 
     #[inline(never)]

@@ -59,6 +59,13 @@ impl<P: Float, A: Alpha<Scalar = P>, N: Shape> Surfaces<P, A, N> {
         [self.lanes.along[k], self.lanes.across[k]] = alpha.axes();
     }
 
+    /// Makes the `k`-th as rough as an earlier one.
+    #[inline(always)]
+    pub fn repeat(&mut self, k: usize, earlier: usize) {
+        self.lanes.along[k] = self.lanes.along[earlier];
+        self.lanes.across[k] = self.lanes.across[earlier];
+    }
+
     #[inline(always)]
     pub fn surface(&self, k: usize) -> Microfacet<A> {
         Microfacet {

@@ -3,8 +3,9 @@
 use ad_core::Float;
 
 use super::super::lanes::{Field, Lane, Lanes, lanes, whole};
+use super::super::readings::Reading;
 use super::{Members, REFLECTED, Scattering, TRANSMITTED};
-use crate::bsdf::{DielectricLobe, Leaf, Material, Passage, Shading, ThinDielectricLobe};
+use crate::bsdf::{DielectricLobe, Leaf, Material, Passage, ThinDielectricLobe};
 use crate::integrator::vertex::MODE;
 
 lanes! {
@@ -26,8 +27,7 @@ impl<P: Float> Members<P> for Glass<P> {
     }
 
     #[inline(always)]
-    fn gather(&mut self, k: usize, material: &Material, at: &Shading<P>) -> bool {
-        let read = &mut &*at;
+    fn gather(&mut self, k: usize, material: &Material, read: &mut Reading<P>) -> bool {
         let (eta, reflectance, transmittance, thin) = match material {
             Material::Dielectric(m) => {
                 let m = m.lobe(read);
@@ -54,6 +54,11 @@ impl<P: Float> Members<P> for Glass<P> {
         self.specular_transmittance.put_rgb(k, transmittance);
         self.thin[k] = u32::from(thin);
         true
+    }
+
+    #[inline(always)]
+    fn repeat(&mut self, k: usize, earlier: usize) {
+        self.relocate(k, earlier);
     }
 
     fn eval_pdf(&mut self, _n: usize, _of: &mut Scattering<P>) {}

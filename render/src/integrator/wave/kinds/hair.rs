@@ -3,8 +3,9 @@
 use ad_core::{Float, Vec3};
 
 use super::super::lanes::{Field, Lane, Lanes, lanes, whole};
+use super::super::readings::Reading;
 use super::{CONTINUOUS, Members, Scattering};
-use crate::bsdf::{Along, Around, Fibre, HairLobe, Material, Seen, Shading};
+use crate::bsdf::{Along, Around, Fibre, HairLobe, Material, Seen};
 
 lanes! {
     /// Fibres, what follows from them, and what is seen of them. Numbers of R, TT and TRT are vectors.
@@ -169,17 +170,23 @@ impl<P: Float> Members<P> for Hairs<P> {
     }
 
     #[inline(always)]
-    fn gather(&mut self, k: usize, material: &Material, at: &Shading<P>) -> bool {
+    fn gather(&mut self, k: usize, material: &Material, read: &mut Reading<P>) -> bool {
         let Material::Hair(m) = material else {
             return false;
         };
-        let fibre = m.fibre(&mut &*at);
+        let fibre = m.fibre(read);
         let lanes = &mut self.lanes;
         lanes.sigma_a.put_rgb(k, fibre.sigma_a);
         [lanes.longitudinal[k], lanes.azimuthal[k]] = fibre.roughness;
         (lanes.scale_tilt[k], lanes.eta[k]) = (fibre.scale_tilt, fibre.eta);
         self.prepared = false;
         true
+    }
+
+    #[inline(always)]
+    fn repeat(&mut self, k: usize, earlier: usize) {
+        self.lanes.relocate(k, earlier);
+        self.prepared = false;
     }
 
     #[inline(always)]

@@ -3,10 +3,11 @@
 use ad_core::{Float, Vec3};
 
 use super::super::lanes::{Field, Lane, Lanes, lanes, whole};
+use super::super::readings::Reading;
 use super::facets::{Shape, Surfaces};
 use super::{CONTINUOUS, Members, REFLECTED, Scattering};
 use crate::bsdf::microfacet::Alpha;
-use crate::bsdf::{ConductorLobe, Facets, Leaf, Material, Metal, Shading, reflect};
+use crate::bsdf::{ConductorLobe, Facets, Leaf, Material, Metal, reflect};
 use crate::math::Rgb;
 
 lanes! {
@@ -106,25 +107,31 @@ impl<P: Float, A: Alpha<Scalar = P>, N: Shape> Members<P> for Metals<P, A, N> {
     }
 
     #[inline(always)]
-    fn gather(&mut self, k: usize, material: &Material, at: &Shading<P>) -> bool {
+    fn gather(&mut self, k: usize, material: &Material, read: &mut Reading<P>) -> bool {
         match material {
             Material::RoughConductor(m) => {
-                let lobe = m.lobe(&mut &*at);
+                let lobe = m.lobe(read);
                 self.facets.put(k, lobe.microfacet.alpha);
                 self.lanes.put(k, &lobe.facet, false);
             }
             Material::AnisotropicConductor(m) => {
-                let lobe = m.lobe(&mut &*at);
+                let lobe = m.lobe(read);
                 self.facets.put(k, lobe.microfacet.alpha);
                 self.lanes.put(k, &lobe.facet, false);
             }
             Material::Conductor(m) => {
                 self.facets.put(k, P::one());
-                self.lanes.put(k, &m.lobe(&mut &*at), true);
+                self.lanes.put(k, &m.lobe(read), true);
             }
             _ => return false,
         }
         true
+    }
+
+    #[inline(always)]
+    fn repeat(&mut self, k: usize, earlier: usize) {
+        self.lanes.relocate(k, earlier);
+        self.facets.repeat(k, earlier);
     }
 
     #[inline(always)]

@@ -22,8 +22,9 @@ mod rough_plastics;
 use ad_core::{Float, Vec3};
 use blinn_phong::Phong;
 use composites::Composites;
+pub use composites::visit_textures;
 use diffuse::Matt;
-use facets::{Beckmann, Ggx};
+pub use facets::{Beckmann, Ggx, Shape, Surfaces};
 use glass::Glass;
 use hair::Hairs;
 use metals::Metals;
@@ -35,8 +36,9 @@ use rough_glass::RoughGlass;
 use rough_plastics::RoughPlastics;
 
 use super::lanes::{Field, Lane, Lanes, WAVE_SIZE, lanes};
+use super::readings::Reading;
 use crate::bsdf::microfacet::{Axes, Ndf};
-use crate::bsdf::{Component, DeltaKind, Material, Roughness, Shading};
+use crate::bsdf::{Bsdf, Component, DeltaKind, Material, Roughness};
 use crate::math::Rgb;
 
 /// What is seen of a material: one side of it, and whether directions have to be turned to its front where they are
@@ -109,11 +111,45 @@ trait Members<P: Float> {
     /// Without members.
     fn new() -> Self;
     /// Takes in a material at a point as the `k`-th, if it is one of these there.
-    fn gather(&mut self, k: usize, material: &Material, at: &Shading<P>) -> bool;
+    fn gather(&mut self, k: usize, material: &Material, read: &mut Reading<P>) -> bool;
+    /// Makes the `k`-th what an earlier one is: of a material that is the same everywhere.
+    fn repeat(&mut self, k: usize, earlier: usize);
     /// Value, density, and whether they are right, of the first `n` directions `wi`.
     fn eval_pdf(&mut self, n: usize, of: &mut Scattering<P>);
     /// The same of directions that are made of the random numbers.
     fn sample(&mut self, n: usize, of: &mut Scattering<P>);
+}
+
+/// So many materials of a kind are told apart at once.
+const MOST_KNOWN: usize = 8;
+
+/// A material that has been seen.
+#[derive(Clone, Copy, Default)]
+struct Known {
+    /// Its address: materials stay where they are while a wave is followed.
+    material: usize,
+    /// Whether it is the same everywhere.
+    even: bool,
+    /// Which of the members is the last one of it, and among which vertices.
+    member: usize,
+    round: u64,
+}
+
+impl Known {
+    fn of(material: &Material) -> Self {
+        let mut even = true;
+        material.visit_textures(&mut |t| even &= t.is_constant());
+        Self {
+            material: Self::address(material),
+            even,
+            ..Self::default()
+        }
+    }
+
+    #[inline(always)]
+    fn address(material: &Material) -> usize {
+        std::ptr::from_ref(material).addr()
+    }
 }
 
 /// The vertices of a wave that are of one kind.
@@ -122,6 +158,9 @@ struct Sorted<M> {
     paths: Vec<usize>,
     /// Made when there are any.
     members: Option<Box<M>>,
+    known: [Known; MOST_KNOWN],
+    /// How often they have been forgotten, counted from one.
+    round: u64,
 }
 
 /// What a vertex scatters: direction, value, density or probability, what it belongs to, and the relative index there.
@@ -138,22 +177,40 @@ impl<M> Sorted<M> {
         Self {
             paths: Vec::new(),
             members: None,
+            known: [Known::default(); MOST_KNOWN],
+            round: 1,
         }
+    }
+
+    /// Forgets all.
+    #[inline(always)]
+    fn clear(&mut self) {
+        self.paths.clear();
+        self.round += 1;
     }
 
     /// Takes path `i` in, if the material is one of these there.
     #[inline(always)]
-    fn take<P: Float>(&mut self, i: usize, material: &Material, at: &Shading<P>) -> bool
+    fn take<P: Float>(&mut self, i: usize, material: &Material, read: &mut Reading<P>) -> bool
     where
         M: Members<P>,
     {
         let k = self.paths.len() % WAVE_SIZE;
         let members = self.members.get_or_insert_with(|| Box::new(M::new()));
-        let gathered = members.gather(k, material, at);
-        if gathered {
-            self.paths.push(i);
+        let address = Known::address(material);
+        let known = &mut self.known[(address / size_of::<Material>()) % MOST_KNOWN];
+        if known.material != address {
+            *known = Known::of(material);
         }
-        gathered
+        if known.even & (known.round == self.round) {
+            members.repeat(k, known.member);
+        } else if members.gather(k, material, read) {
+            (known.member, known.round) = (k, self.round);
+        } else {
+            return false;
+        }
+        self.paths.push(i);
+        true
     }
 
     /// See [`Kinds::eval_pdf`].
@@ -182,7 +239,8 @@ impl<M> Sorted<M> {
         members.eval_pdf(self.paths.len(), of);
         out.extend(self.paths.iter().enumerate().map(|(k, &i)| {
             let k = k % WAVE_SIZE;
-            (i, (of.right[k] != 0).then(|| (of.f.rgb(k), of.pdf[k])))
+            let found = (of.f.rgb(k), of.pdf[k]);
+            (i, (of.right[k] != 0).then_some(found))
         }));
     }
 
@@ -209,8 +267,8 @@ impl<M> Sorted<M> {
             let k = k % WAVE_SIZE;
             let wi = seen_from(side[i], of.wi.vec(k));
             let component = component(of.component[k]);
-            let all = || (wi, of.f.rgb(k), of.pdf[k], component, of.eta[k]);
-            (i, (of.right[k] & of.sampled[k] != 0).then(all))
+            let all = (wi, of.f.rgb(k), of.pdf[k], component, of.eta[k]);
+            (i, (of.right[k] & of.sampled[k] != 0).then_some(all))
         }));
     }
 }
@@ -243,14 +301,14 @@ macro_rules! kinds {
             }
 
             fn clear(&mut self) {
-                $(self.$field.paths.clear();)*
+                $(self.$field.clear();)*
             }
 
             /// Takes number `i` in, if its material is one of these there.
             #[inline(always)]
-            fn take(&mut self, i: usize, material: &Material, at: &Shading<P>) -> bool {
+            fn take(&mut self, i: usize, material: &Material, read: &mut Reading<P>) -> bool {
                 match sort(material) {
-                    $(Some(Sort::$kind) => self.$field.take(i, material, at),)*
+                    $(Some(Sort::$kind) => self.$field.take(i, material, read),)*
                     None => false,
                 }
             }
@@ -378,18 +436,18 @@ impl<P: Float> Kinds<P> {
     /// Takes path `i` in, if its material is one of these there; `wo`, from where the path came to the side that is seen,
     /// is asked only where a material is made of others.
     #[inline(never)]
-    pub fn take(
+    pub fn take<'a>(
         &mut self,
         i: usize,
-        material: &Material,
-        at: &Shading<P>,
+        material: &'a Material,
+        read: &mut Reading<'a, P>,
         wo: &dyn Fn() -> Vec3<P>,
     ) -> bool {
         if composites::may_be_one(material) {
             let composites = self.composites.get_or_insert_with(Default::default);
-            return composites.take(i, material, at, wo());
+            return composites.take(i, material, read, wo());
         }
-        self.leaves.take(i, material, at)
+        self.leaves.take(i, material, read)
     }
 
     /// Values and densities of directions to lights.

@@ -3,8 +3,9 @@
 use ad_core::Float;
 
 use super::super::lanes::whole;
+use super::super::readings::Reading;
 use super::{Members, PASSED, Scattering};
-use crate::bsdf::{Material, Shading};
+use crate::bsdf::Material;
 use crate::math::Rgb;
 
 /// Light goes through unchanged.
@@ -18,9 +19,11 @@ impl<P: Float> Members<P> for Nothing {
     }
 
     #[inline(always)]
-    fn gather(&mut self, _k: usize, material: &Material, _at: &Shading<P>) -> bool {
+    fn gather(&mut self, _k: usize, material: &Material, _read: &mut Reading<P>) -> bool {
         matches!(material, Material::Null(_))
     }
+
+    fn repeat(&mut self, _k: usize, _earlier: usize) {}
 
     fn eval_pdf(&mut self, _n: usize, _of: &mut Scattering<P>) {}
 

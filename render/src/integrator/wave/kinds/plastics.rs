@@ -3,8 +3,9 @@
 use ad_core::Float;
 
 use super::super::lanes::{Field, Lane, Lanes, lanes, whole};
+use super::super::readings::Reading;
 use super::{CONTINUOUS, Members, REFLECTED, Scattering};
-use crate::bsdf::{CoatedLobe, Leaf, Material, PlasticLobe, Shading};
+use crate::bsdf::{CoatedLobe, Leaf, Material, PlasticLobe};
 use crate::math::Rgb;
 
 lanes! {
@@ -65,14 +66,19 @@ impl<P: Float> Members<P> for Plastics<P> {
     }
 
     #[inline(always)]
-    fn gather(&mut self, k: usize, material: &Material, at: &Shading<P>) -> bool {
+    fn gather(&mut self, k: usize, material: &Material, read: &mut Reading<P>) -> bool {
         let Material::Plastic(m) = material else {
             return false;
         };
-        let lobe = m.lobe(&mut &*at);
+        let lobe = m.lobe(read);
         self.coated.put(k, &lobe.coated);
         self.inside[k] = lobe.inside;
         true
+    }
+
+    #[inline(always)]
+    fn repeat(&mut self, k: usize, earlier: usize) {
+        self.relocate(k, earlier);
     }
 
     #[inline(never)]

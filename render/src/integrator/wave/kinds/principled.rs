@@ -3,12 +3,11 @@
 use ad_core::{Float, Vec3};
 
 use super::super::lanes::{Field, Lane, Lanes, lanes, whole};
+use super::super::readings::Reading;
 use super::facets::{Ggx, Surfaces};
 use super::{CONTINUOUS, Members, Scattering};
 use crate::bsdf::microfacet::Alpha;
-use crate::bsdf::{
-    Choices, ClearCoat, Facet, Leaf, Material, PrincipledLobe, Shading, Tints, upwards,
-};
+use crate::bsdf::{Choices, ClearCoat, Facet, Leaf, Material, PrincipledLobe, Tints, upwards};
 
 lanes! {
     /// Principled materials, but for their normals. What there is none of is zero, or changes nothing.
@@ -172,13 +171,19 @@ impl<P: Float, A: Alpha<Scalar = P>> Members<P> for PrincipledSurfaces<P, A> {
     }
 
     #[inline(always)]
-    fn gather(&mut self, k: usize, material: &Material, at: &Shading<P>) -> bool {
+    fn gather(&mut self, k: usize, material: &Material, read: &mut Reading<P>) -> bool {
         match material {
-            Material::Principled(m) => self.put(k, &m.lobe(&mut &*at)),
-            Material::AnisotropicPrincipled(m) => self.put(k, &m.lobe(&mut &*at)),
+            Material::Principled(m) => self.put(k, &m.lobe(read)),
+            Material::AnisotropicPrincipled(m) => self.put(k, &m.lobe(read)),
             _ => return false,
         }
         true
+    }
+
+    #[inline(always)]
+    fn repeat(&mut self, k: usize, earlier: usize) {
+        self.lanes.relocate(k, earlier);
+        self.facets.repeat(k, earlier);
     }
 
     #[inline(always)]

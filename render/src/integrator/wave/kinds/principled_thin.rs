@@ -3,11 +3,12 @@
 use ad_core::{Float, Vec3};
 
 use super::super::lanes::{Field, Lane, Lanes, lanes, whole};
+use super::super::readings::Reading;
 use super::facets::{Ggx, Surfaces};
 use super::{CONTINUOUS, Members, Scattering};
 use crate::bsdf::microfacet::{Alpha, Microfacet, Ndf};
 use crate::bsdf::{
-    Leaf, Material, Pane, PrincipledThinLobe, Shading, Sides, ThinShares, Tints, above, reflect,
+    Leaf, Material, Pane, PrincipledThinLobe, Sides, ThinShares, Tints, above, reflect,
 };
 use crate::math::warp;
 
@@ -217,13 +218,19 @@ impl<P: Float, A: Alpha<Scalar = P>> Members<P> for ThinSurfaces<P, A> {
     }
 
     #[inline(always)]
-    fn gather(&mut self, k: usize, material: &Material, at: &Shading<P>) -> bool {
+    fn gather(&mut self, k: usize, material: &Material, read: &mut Reading<P>) -> bool {
         match material {
-            Material::PrincipledThin(m) => self.put(k, &m.lobe(&mut &*at)),
-            Material::AnisotropicThin(m) => self.put(k, &m.lobe(&mut &*at)),
+            Material::PrincipledThin(m) => self.put(k, &m.lobe(read)),
+            Material::AnisotropicThin(m) => self.put(k, &m.lobe(read)),
             _ => return false,
         }
         true
+    }
+
+    #[inline(always)]
+    fn repeat(&mut self, k: usize, earlier: usize) {
+        self.lanes.relocate(k, earlier);
+        self.facets.repeat(k, earlier);
     }
 
     #[inline(always)]

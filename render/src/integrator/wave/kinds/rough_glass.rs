@@ -3,10 +3,11 @@
 use ad_core::{Float, Vec3};
 
 use super::super::lanes::{Field, Lane, Lanes, lanes, whole};
+use super::super::readings::Reading;
 use super::facets::{Shape, Surfaces};
 use super::{CONTINUOUS, Members, Scattering};
 use crate::bsdf::microfacet::Alpha;
-use crate::bsdf::{Facet, Leaf, Material, RoughDielectricLobe, Shading, upwards};
+use crate::bsdf::{Facet, Leaf, Material, RoughDielectricLobe, upwards};
 
 lanes! {
     /// Rough glass, but for its normals.
@@ -94,13 +95,19 @@ impl<P: Float, A: Alpha<Scalar = P>, N: Shape> Members<P> for RoughGlass<P, A, N
     }
 
     #[inline(always)]
-    fn gather(&mut self, k: usize, material: &Material, at: &Shading<P>) -> bool {
+    fn gather(&mut self, k: usize, material: &Material, read: &mut Reading<P>) -> bool {
         match material {
-            Material::RoughDielectric(m) => self.put(k, &m.lobe(&mut &*at)),
-            Material::AnisotropicDielectric(m) => self.put(k, &m.lobe(&mut &*at)),
+            Material::RoughDielectric(m) => self.put(k, &m.lobe(read)),
+            Material::AnisotropicDielectric(m) => self.put(k, &m.lobe(read)),
             _ => return false,
         }
         true
+    }
+
+    #[inline(always)]
+    fn repeat(&mut self, k: usize, earlier: usize) {
+        self.lanes.relocate(k, earlier);
+        self.facets.repeat(k, earlier);
     }
 
     #[inline(always)]

@@ -3,11 +3,12 @@
 use ad_core::Float;
 
 use super::super::lanes::{Field, Lane, Lanes, WAVE_SIZE, lanes, whole};
+use super::super::readings::Reading;
 use super::facets::{Shape, Surfaces};
 use super::plastics::Coatings;
 use super::{CONTINUOUS, Members, Scattering};
 use crate::bsdf::coat::{Coat, Curve, Passes, place, weighed};
-use crate::bsdf::{Leaf, Material, Shading};
+use crate::bsdf::{Leaf, Material};
 use crate::texture::{ScalarTexture, Texture};
 
 /// Coats of so many materials are kept.
@@ -181,11 +182,11 @@ impl<P: Float, N: Shape> Members<P> for RoughPlastics<P, N> {
     }
 
     #[inline(always)]
-    fn gather(&mut self, k: usize, material: &Material, at: &Shading<P>) -> bool {
+    fn gather(&mut self, k: usize, material: &Material, read: &mut Reading<P>) -> bool {
         let Material::RoughPlastic(m) = material else {
             return false;
         };
-        let lobe = m.lobe(&mut &*at);
+        let lobe = m.lobe(read);
         let alpha = lobe.microfacet.alpha;
         self.facets.put(k, alpha);
         self.lanes.coated.put(k, &lobe.coated);
@@ -193,6 +194,14 @@ impl<P: Float, N: Shape> Members<P> for RoughPlastics<P, N> {
         let same = same(&m.roughness.alpha) & same(&m.coated.eta);
         self.know(k, (lobe.table, alpha, lobe.coated.eta), same);
         true
+    }
+
+    #[inline(always)]
+    fn repeat(&mut self, k: usize, earlier: usize) {
+        self.lanes.relocate(k, earlier);
+        self.facets.repeat(k, earlier);
+        self.place[k] = self.place[earlier];
+        self.seen = false;
     }
 
     #[inline(always)]
