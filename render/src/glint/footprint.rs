@@ -3,7 +3,6 @@
 use ad_core::{Dual, Mat2, Vec2, Vec3};
 
 use super::map::SlopeMap;
-use super::parts::Part;
 use crate::camera::PerPixel;
 use crate::film::PixelFilter;
 use crate::manifold::Target;
@@ -14,6 +13,20 @@ use crate::shape::SurfaceInteraction;
 
 /// Farthest texel coordinates: beyond, cells are not told apart.
 const FARTHEST: f64 = 1e9;
+
+/// A square of a filter's support, which is searched by itself.
+#[derive(Clone, Copy, Debug)]
+pub struct Part {
+    /// Its middle, in pixels from that of the filter.
+    pub middle: [f64; 2],
+    /// Half its side, in pixels.
+    pub half: f64,
+    /// Probability that it is searched.
+    pub share: f64,
+    /// That by the filter alone, which weights go by: an affine footprint may put a glint on the wrong side of a border, so that
+    /// they must not jump there.
+    pub by_filter: f64,
+}
 
 /// A point of a surface as a camera ray sees it, with its derivatives across the image: the footprint of a part of the pixel's
 /// filter around it [Igehy 1999].

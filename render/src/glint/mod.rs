@@ -74,9 +74,9 @@ mod search;
 mod walk;
 
 pub use find::{Drawn, Finder, Glint};
-pub use footprint::Footprint;
+pub use footprint::{Footprint, Part};
 pub use map::{Moments, SlopeMap};
-pub use parts::{Part, Pixel};
+pub use parts::Pixel;
 
 use crate::bsdf::nesting::{Microfacets, Specular, facets};
 use crate::bsdf::{Material, NormalMap};

@@ -2,7 +2,7 @@
 
 use ad_core::{Mat2, Vec3};
 
-use super::footprint::Footprint;
+use super::footprint::{Footprint, Part};
 use crate::film::PixelFilter;
 use crate::scene::Scene;
 
@@ -25,20 +25,6 @@ const PROBES: [[f64; 2]; 5] = {
 const BY_AREA: f64 = 0.05;
 /// The part of a choice by what parts show that goes by the filter alone: a part may show more than its middle.
 const BY_FILTER: f64 = 0.2;
-
-/// A square of a filter's support, which is searched by itself.
-#[derive(Clone, Copy, Debug)]
-pub struct Part {
-    /// Its middle, in pixels from that of the filter.
-    pub middle: [f64; 2],
-    /// Half its side, in pixels.
-    pub half: f64,
-    /// Probability that it is searched.
-    pub share: f64,
-    /// That by the filter alone, which weights go by: an affine footprint may put a glint on the wrong side of a border, so that
-    /// they must not jump there.
-    pub by_filter: f64,
-}
 
 /// A pixel, and the parts that it is searched in: its filter's support, cut into equal squares.
 #[derive(Clone, Debug)]
