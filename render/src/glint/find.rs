@@ -110,9 +110,11 @@ impl<'a, P: Float> Finder<'a, P> {
     }
 
     /// The pixel whose filter has its middle there on the full film, in as many parts as it takes for footprints to be affine;
-    /// published walks go over all of it, however it curves. `hidden`: whether the camera looks through lamps.
+    /// published walks go over all of it, however it curves, and without walks there is nothing to search. `hidden`: whether
+    /// the camera looks through lamps.
     pub fn pixel(&self, middle: [f64; 2], hidden: bool) -> Pixel {
-        if self.options.region == GlintRegion::Footprint {
+        let walks = self.options.techniques != GlintTechniques::Scattering;
+        if !walks || self.options.region == GlintRegion::Footprint {
             return Pixel::whole(&self.scene.film.filter, middle, hidden);
         }
         Pixel::new(self.scene, self.glinty, middle, hidden, |foot| {
@@ -134,12 +136,6 @@ impl<'a, P: Float> Finder<'a, P> {
             Some(spread.tailed(halves.half(middle)))
         };
         (0..LIGHTS).filter_map(fit).sum()
-    }
-
-    /// What is seen of glinty shapes there.
-    fn seen(&self, pixel: &Pixel, film: [f64; 2], lens: [f64; 2]) -> Option<Footprint> {
-        let foot = Footprint::new(self.scene, film, lens, pixel.middle, pixel.hidden)?;
-        self.glinty[foot.shape as usize].then_some(foot)
     }
 
     /// The slopes of a footprint, and whether they are seen from behind.
@@ -170,8 +166,8 @@ impl<'a, P: Float> Finder<'a, P> {
         out: &mut Vec<Glint>,
     ) {
         let offset = [0, 1].map(|k: usize| view.film[k] - pixel.middle[k]);
-        let own =
-            (self.seen(pixel, view.film, view.lens)).map(|foot| foot.within(pixel.around(offset)));
+        let own = (pixel.seen(self.scene, self.glinty, view.film, view.lens))
+            .map(|foot| foot.within(pixel.around(offset)));
         if let Some(foot) = &own
             && self.options.techniques != GlintTechniques::Walks
         {
@@ -187,7 +183,8 @@ impl<'a, P: Float> Finder<'a, P> {
             let part = pixel.draw(which);
             let at =
                 |k: usize, u: f64| pixel.middle[k] + part.middle[k] + part.half * (2.0 * u - 1.0);
-            (self.seen(pixel, [at(0, x), at(1, y)], view.lens)).map(|foot| foot.within(part))
+            (pixel.seen(self.scene, self.glinty, [at(0, x), at(1, y)], view.lens))
+                .map(|foot| foot.within(part))
         };
         if let Some(foot) = searched {
             self.walk(&foot, rng, (&Asking::new(cancelled), came_to), out);

@@ -21,6 +21,8 @@ const PROBES: [[f64; 2]; 5] = {
         [FAR, FAR],
     ]
 };
+/// Where on the lens these rays start.
+const MIDDLE: [f64; 2] = [0.5; 2];
 /// The part of a choice by the filter that goes by area alone: it may vanish in the middle of a part.
 const BY_AREA: f64 = 0.05;
 /// The part of a choice by what parts show that goes by the filter alone: a part may show more than its middle.
@@ -69,7 +71,8 @@ impl Pixel {
         let filter = &scene.film.filter;
         let mut pixel = Self::whole(filter, middle, hidden);
         let probes = PROBES.map(|at| {
-            let foot = pixel.seen(scene, glinty, at.map(|x| x * pixel.half));
+            let film = pixel.film(at.map(|x| x * pixel.half));
+            let foot = pixel.seen(scene, glinty, film, MIDDLE);
             foot.map(|foot| Probe::new(&foot, at))
         });
         let across = change(&probes);
@@ -85,7 +88,7 @@ impl Pixel {
         let by_filter: Vec<f64> = (0..all).map(|i| filter.density(place(i)).abs()).collect();
         pixel.by_filter = mixed(by_filter, &by_area, BY_AREA);
         let worth = |i: usize| {
-            let foot = pixel.seen(scene, glinty, place(i));
+            let foot = pixel.seen(scene, glinty, pixel.film(place(i)), MIDDLE);
             let part = Part {
                 middle: place(i),
                 half: pixel.half,
@@ -99,11 +102,21 @@ impl Pixel {
         pixel
     }
 
-    /// What is seen of glinty shapes, in pixels from the middle, through the middle of the lens.
-    fn seen(&self, scene: &Scene, glinty: &[bool], off: [f64; 2]) -> Option<Footprint> {
-        let at = [0, 1].map(|k: usize| self.middle[k] + off[k]);
-        let foot = Footprint::new(scene, at, [0.5; 2], self.middle, self.hidden)?;
+    /// What is seen of glinty shapes, by index, at a point of the full film, `lens` on the lens.
+    pub(super) fn seen(
+        &self,
+        scene: &Scene,
+        glinty: &[bool],
+        film: [f64; 2],
+        lens: [f64; 2],
+    ) -> Option<Footprint> {
+        let foot = Footprint::new(scene, film, lens, self.middle, self.hidden)?;
         glinty[foot.shape as usize].then_some(foot)
+    }
+
+    /// The point of the full film that is so many pixels from the middle.
+    fn film(&self, off: [f64; 2]) -> [f64; 2] {
+        [0, 1].map(|k: usize| self.middle[k] + off[k])
     }
 
     /// Whether it is searched as a whole.

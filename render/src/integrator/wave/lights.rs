@@ -300,7 +300,7 @@ impl<P: Float> Samples<P> {
     ) -> u32 {
         match emitter {
             Together::Rectangle(rectangle, surface) => {
-                self.of_rectangle(rectangle, n, p, numbers);
+                self.of_flat(rectangle, n, p, numbers);
                 return surface;
             }
             Together::Ball(center, radius, surface) => {
@@ -308,7 +308,7 @@ impl<P: Float> Samples<P> {
                 return surface;
             }
             Together::Disk(disk, surface) => {
-                self.of_disk(disk, n, p, numbers);
+                self.of_flat(disk, n, p, numbers);
                 return surface;
             }
             Together::Cylinder(cylinder, surface) => {
@@ -334,17 +334,12 @@ impl<P: Float> Samples<P> {
         NOWHERE
     }
 
+    /// Samples of a shape whose area is sampled without a branch.
     #[inline(never)]
-    fn of_rectangle(
-        &mut self,
-        rectangle: Rectangle,
-        n: usize,
-        p: &Lanes<P>,
-        [a, b]: [&Lane<P>; 2],
-    ) {
+    fn of_flat(&mut self, shape: impl Shape, n: usize, p: &Lanes<P>, [a, b]: [&Lane<P>; 2]) {
         let still = Theta::still();
         for k in 0..whole(n) {
-            let s = rectangle.sample_area(&still, [a[k], b[k]]);
+            let s = shape.sample_area(&still, [a[k], b[k]]);
             let seen = s.seen_in_line(p.vec(k), s.n);
             self.put(k, &Area::facing_in_line(NOWHERE, seen));
         }
@@ -365,16 +360,6 @@ impl<P: Float> Samples<P> {
             self.put(k, &sample.unwrap_or(nothing()));
             // From within, it is seen otherwise.
             self.right[k] = u32::from(self.pdf[k] > P::zero());
-        }
-    }
-
-    #[inline(never)]
-    fn of_disk(&mut self, disk: Disk, n: usize, p: &Lanes<P>, [a, b]: [&Lane<P>; 2]) {
-        let still = Theta::still();
-        for k in 0..whole(n) {
-            let s = disk.sample_area(&still, [a[k], b[k]]);
-            let seen = s.seen_in_line(p.vec(k), s.n);
-            self.put(k, &Area::facing_in_line(NOWHERE, seen));
         }
     }
 
