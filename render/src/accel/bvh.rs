@@ -4,23 +4,17 @@
 //! node. A leaf is a block of up to eight flat primitives, tested in the time of one, or a curved one. The slabs are
 //! wider than the rounding of any primitive test, so that a hit never depends on the shape of the tree.
 
-use super::cluster::{children, hierarchy, parts};
+use super::cluster::hierarchy;
 use super::curved::{Curved, Line};
+use super::node::{Child, Kind, NODE_WIDTH, Node};
 use super::triangle_block::{Flat, LANES, RayLanes};
+use super::widen::{Binary, Subtree};
 use super::{Best, Item, Ray, Shape, Tag};
-use crate::math::{both, each};
+use crate::math::each;
 use crate::parallel;
 use crate::prefetch::prefetch;
-use obvhs::bvh2::Bvh2;
-use obvhs::bvh2::node::Bvh2Node;
 use obvhs::{Boundable, aabb::Aabb};
-use smallvec::SmallVec;
-use std::collections::VecDeque;
-use std::sync::atomic::{AtomicU8, Ordering};
 use wide::f32x8;
-
-/// Children of a node.
-pub(super) const NODE_WIDTH: usize = 8;
 
 /// Widening of the slabs, relative to the farthest point of the scene; must exceed the seam of
 /// the flat test.
@@ -28,91 +22,6 @@ pub(super) const SLACK: f32 = 32.0 * f32::EPSILON;
 
 /// Smallest direction component in a slab test: keeps reciprocals finite.
 pub(super) const MIN_COMPONENT: f32 = 1e-20;
-
-/// What a child is, and its index.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Child(u32);
-
-/// A [`Child`], read.
-pub(super) enum Kind {
-    /// A node.
-    Inner(usize),
-    /// A block, and how many primitives it has.
-    Block(usize, usize),
-    /// A curved primitive.
-    Curved(usize),
-    /// An empty place, which no ray enters.
-    Nothing,
-}
-
-impl Child {
-    const NOTHING: Self = Self(u32::MAX);
-    const LEAF: u32 = 1 << 31;
-    const CURVED: u32 = 1 << 30;
-    /// Indices are below, also those of nodes.
-    const COUNT_SHIFT: u32 = 27;
-    const INDEX: u32 = (1 << Self::COUNT_SHIFT) - 1;
-
-    /// The root.
-    pub const ROOT: Self = Self(0);
-
-    /// Wrong where there are too many, see [`Subtree::count`].
-    fn leaf(tag: u32, index: usize) -> Self {
-        Self(Self::LEAF | tag | (index as u32 & Self::INDEX))
-    }
-
-    /// The same where there are so many more of its kind before.
-    fn behind(self, nodes: usize, leaves: usize, curved: usize) -> Self {
-        let Self(code) = self;
-        let by = match self.kind() {
-            Kind::Inner(_) => nodes,
-            Kind::Block(..) => leaves,
-            Kind::Curved(_) => curved,
-            Kind::Nothing => return self,
-        };
-        let index = (code & Self::INDEX).wrapping_add(by as u32) & Self::INDEX;
-        Self(code & !Self::INDEX | index)
-    }
-
-    /// Whether it is nothing: so are those after it.
-    #[inline(always)]
-    pub fn is_nothing(self) -> bool {
-        self == Self::NOTHING
-    }
-
-    #[inline(always)]
-    pub fn kind(self) -> Kind {
-        let Self(code) = self;
-        let index = (code & Self::INDEX) as usize;
-        if code & Self::LEAF == 0 {
-            Kind::Inner(code as usize)
-        } else if self == Self::NOTHING {
-            Kind::Nothing
-        } else if code & Self::CURVED != 0 {
-            Kind::Curved(index)
-        } else {
-            let count = (code >> Self::COUNT_SHIFT & 7) as usize + 1;
-            Kind::Block(index, count)
-        }
-    }
-}
-
-/// Boxes of eight children, relative to the centre of the tree.
-#[derive(Clone, Debug)]
-#[repr(C, align(64))]
-pub(super) struct Node {
-    /// Per axis: lower planes, upper planes.
-    pub planes: [[[f32; NODE_WIDTH]; 2]; 3],
-    pub children: [Child; NODE_WIDTH],
-}
-
-impl Node {
-    const EMPTY: Self = Self {
-        // Entered by no ray from either side.
-        planes: [[[f32::INFINITY; NODE_WIDTH], [f32::NEG_INFINITY; NODE_WIDTH]]; 3],
-        children: [Child::NOTHING; NODE_WIDTH],
-    };
-}
 
 #[derive(Clone, Debug)]
 pub(super) struct Tree {
@@ -260,38 +169,13 @@ impl Tree {
         self.nodes[at].place(k, bounds, self.center);
     }
 
-    /// Makes nodes of eight children from nodes of two: the top of the tree, what is below on all threads, and then all
-    /// leaves, whose blocks are most of the memory.
+    /// Takes nodes of eight children made from nodes of two, and makes all leaves, whose blocks are most of the memory.
     fn widen(&mut self, binary: &Binary, points: &[[f32; 4]]) -> Option<()> {
-        let center = self.center;
-        let mut all = Subtree::new();
-        let mut open = VecDeque::from([(0, 0)]);
-        let most = match binary.items.len() {
-            0..MANY_ITEMS => 1,
-            _ => PARTS,
-        };
-        while open.len() < most
-            && let Some((at, from)) = open.pop_front()
-        {
-            all.open(at, from, binary, center, |child| open.push_back(child));
-        }
-        let parts = parallel::map(open.len(), |k| {
-            let mut part = Subtree::new();
-            let mut below = vec![(0, open[k].1)];
-            while let Some((at, from)) = below.pop() {
-                part.open(at, from, binary, center, |child| below.push(child));
-            }
-            part
-        });
-        for (&(at, _), part) in open.iter().zip(parts) {
-            all.append(at, part)?;
-        }
-        all.count()?;
         let Subtree {
             nodes,
             leaves,
             curved,
-        } = all;
+        } = Subtree::of(binary, self.center)?;
         self.nodes = nodes;
         let items = binary.items;
         let curved = curved.iter().map(|&i| &items[i as usize]);
@@ -426,235 +310,6 @@ impl Tree {
             + self.blocks.capacity() * size_of::<Flat<[f32; LANES]>>()
             + self.tags.capacity() * size_of::<[Tag; LANES]>()
             + self.curved.capacity() * size_of::<(Curved, Tag)>()
-    }
-}
-
-impl Node {
-    /// Writes the box of child `k`, relative to the centre of the tree.
-    fn place(&mut self, k: usize, bounds: &Aabb, center: [f32; 3]) {
-        let (low, high) = (bounds.min.to_array(), bounds.max.to_array());
-        for axis in 0..3 {
-            let [lower, upper] = &mut self.planes[axis];
-            // An empty box is entered by no ray from either side.
-            let empty = low[axis] > high[axis];
-            lower[k] = if empty {
-                f32::INFINITY
-            } else {
-                (low[axis] - center[axis]).next_down()
-            };
-            upper[k] = if empty {
-                f32::NEG_INFINITY
-            } else {
-                (high[axis] - center[axis]).next_up()
-            };
-        }
-    }
-}
-
-/// Trees of more primitives are widened in parts.
-const MANY_ITEMS: usize = 1 << 13;
-
-/// So many parts at least, if there are.
-const PARTS: usize = 64;
-
-/// A part of a tree: nodes whose children are in it, and items by their indices.
-struct Subtree {
-    nodes: Vec<Node>,
-    /// Those of each block; beyond the last there is none.
-    leaves: Vec<[u32; LANES]>,
-    curved: Vec<u32>,
-}
-
-impl Subtree {
-    fn new() -> Self {
-        Self {
-            nodes: vec![Node::EMPTY],
-            leaves: Vec::new(),
-            curved: Vec::new(),
-        }
-    }
-
-    /// Fills node `at`, which stands for the binary node `from`. Its children that are nodes are to be filled next, and
-    /// stand for others.
-    #[inline(always)]
-    fn open(
-        &mut self,
-        at: usize,
-        from: usize,
-        binary: &Binary,
-        center: [f32; 3],
-        mut next: impl FnMut((usize, usize)),
-    ) {
-        // The largest that can be opened is, as long as there is room.
-        let mut children = SmallVec::<[usize; NODE_WIDTH]>::new();
-        if binary.is_leaf(from) {
-            children.push(from)
-        } else {
-            children.extend(binary.children(from))
-        }
-        while children.len() < NODE_WIDTH {
-            let area = |&(_, &c): &(usize, &usize)| binary.area(c);
-            let inner = children.iter().enumerate();
-            let largest = inner
-                .filter(|(_, c)| !binary.is_leaf(**c))
-                .max_by(|a, b| area(a).total_cmp(&area(b)));
-            let Some((k, &largest)) = largest else {
-                break;
-            };
-            let [first, second] = binary.children(largest);
-            children[k] = first;
-            children.push(second);
-        }
-        for (k, &child) in children.iter().enumerate() {
-            self.nodes[at].place(k, binary.node(child).aabb(), center);
-            self.nodes[at].children[k] = if binary.is_leaf(child) {
-                self.leaf(&binary.primitives(child), binary)
-            } else {
-                let index = self.nodes.len();
-                next((index, child));
-                self.nodes.push(Node::EMPTY);
-                Child(index as u32 & Child::INDEX)
-            };
-        }
-    }
-
-    fn leaf(&mut self, primitives: &[u32], binary: &Binary) -> Child {
-        if let [one] = primitives
-            && binary.items[*one as usize].is_curved()
-        {
-            self.curved.push(*one);
-            return Child::leaf(Child::CURVED, self.curved.len() - 1);
-        }
-        let mut leaf = [u32::MAX; LANES];
-        leaf[..primitives.len()].copy_from_slice(primitives);
-        self.leaves.push(leaf);
-        let count = (primitives.len() as u32 - 1) << Child::COUNT_SHIFT;
-        Child::leaf(count, self.leaves.len() - 1)
-    }
-
-    /// Takes in a part whose first node is node `at`. `None` if there are too many of anything.
-    fn append(&mut self, at: usize, part: Self) -> Option<()> {
-        // The first node has a place already.
-        let nodes = self.nodes.len() - 1;
-        let (leaves, curved) = (self.leaves.len(), self.curved.len());
-        for (k, mut node) in part.nodes.into_iter().enumerate() {
-            for child in &mut node.children {
-                *child = child.behind(nodes, leaves, curved);
-            }
-            match k {
-                0 => self.nodes[at] = node,
-                _ => self.nodes.push(node),
-            }
-        }
-        self.leaves.extend(part.leaves);
-        self.curved.extend(part.curved);
-        self.count()
-    }
-
-    /// `None` if there are too many of anything for an index: one less than there are of these, because the last one
-    /// with all tags is nothing.
-    fn count(&self) -> Option<()> {
-        let counts = [self.nodes.len(), self.leaves.len(), self.curved.len()];
-        (counts.iter().all(|&n| n < Child::INDEX as usize)).then_some(())
-    }
-}
-
-/// A binary hierarchy, and what is below its nodes.
-struct Binary<'a> {
-    tree: &'a Bvh2,
-    items: &'a [Item],
-    /// Per node: how many primitives there are below, or more than fit a leaf.
-    counts: Vec<AtomicU8>,
-}
-
-/// More primitives than fit a leaf.
-const MANY: u8 = LANES as u8 + 1;
-
-impl<'a> Binary<'a> {
-    fn new(tree: &'a Bvh2, items: &'a [Item]) -> Self {
-        let binary = Self {
-            tree,
-            items,
-            counts: parallel::fill(tree.nodes.len(), &|_| AtomicU8::new(0)),
-        };
-        let (top, parts) = parts(&tree.nodes);
-        // Every node is written by one thread, after those below it.
-        let parts_below = parallel::map(parts.len(), |k| {
-            let mut order = vec![parts[k].0];
-            let mut next = 0;
-            while let Some(&at) = order.get(next) {
-                next += 1;
-                if !tree.nodes[at].is_leaf() {
-                    order.extend(binary.children(at));
-                }
-            }
-            order.iter().rev().for_each(|&at| binary.count(at));
-        });
-        drop(parts_below);
-        top.iter().rev().for_each(|&at| binary.count(at));
-        binary
-    }
-
-    /// Counts what is below a node, when that is known of its children.
-    fn count(&self, at: usize) {
-        let node = &self.tree.nodes[at];
-        let count = if node.is_leaf() {
-            let mut count = node.prim_count.min(u32::from(MANY)) as u8;
-            for &i in self.leaf(node) {
-                if self.items[i as usize].is_curved() {
-                    // Joined with nothing.
-                    count = MANY;
-                }
-            }
-            count
-        } else {
-            let [a, b] = both(self.children(at), |c| self.below(c));
-            (a + b).min(MANY)
-        };
-        self.counts[at].store(count, Ordering::Relaxed);
-    }
-
-    fn below(&self, at: usize) -> u8 {
-        self.counts[at].load(Ordering::Relaxed)
-    }
-
-    /// What a leaf of it holds: indices of items.
-    fn leaf(&self, node: &Bvh2Node) -> &'a [u32] {
-        let first = node.first_index as usize;
-        &self.tree.primitive_indices[first..first + node.prim_count as usize]
-    }
-
-    fn node(&self, at: usize) -> &'a Bvh2Node {
-        &self.tree.nodes[at]
-    }
-
-    fn children(&self, at: usize) -> [usize; 2] {
-        children(self.node(at))
-    }
-
-    /// Whether all below becomes one leaf.
-    fn is_leaf(&self, at: usize) -> bool {
-        self.below(at) < MANY || self.node(at).is_leaf()
-    }
-
-    fn area(&self, at: usize) -> f32 {
-        self.node(at).aabb().half_area()
-    }
-
-    /// All below, which becomes one leaf: indices of items.
-    fn primitives(&self, at: usize) -> SmallVec<[u32; LANES]> {
-        let mut found = SmallVec::new();
-        let mut open = SmallVec::<[usize; 2 * LANES]>::new();
-        open.push(at);
-        while let Some(at) = open.pop() {
-            let node = self.node(at);
-            if node.is_leaf() {
-                found.extend_from_slice(self.leaf(node));
-            } else {
-                open.extend_from_slice(&self.children(at));
-            }
-        }
-        found
     }
 }
 

@@ -4,8 +4,9 @@
 //! lane per ray. Where only a few rays of a packet are left, these go on alone, but in turns: what each visits next is
 //! fetched before the first of them needs it, because most of the time of such a ray is waiting for memory.
 
-use super::bvh::{Child, Kind, MIN_COMPONENT, NODE_WIDTH, Node, SLACK, Search, Slabs, Tree};
+use super::bvh::{MIN_COMPONENT, SLACK, Search, Slabs, Tree};
 use super::curved::Line;
+use super::node::{Child, Kind, NODE_WIDTH, Node};
 use super::ray_packet::{PACKET_SIZE, RayPacket};
 use super::triangle_block::RayLanes;
 use super::{Best, Hit, Ray};
@@ -17,6 +18,13 @@ use wide::{f32x8, f32x16};
 /// Up to this number of rays are faster one by one (decision 0031).
 const FEW: u32 = 6;
 
+/// Vectors that a number of each ray of a packet is.
+const VECTORS: usize = if cfg!(target_feature = "avx512f") {
+    1
+} else {
+    2
+};
+
 /// A child that some rays of a packet still have to visit.
 #[derive(Clone, Copy)]
 struct Visit {
@@ -27,48 +35,76 @@ struct Visit {
     near: f32x16,
 }
 
-thread_local! {
-    /// What the last packet had to visit: long enough for most, and not made anew for each.
-    static VISITS: Cell<Vec<Visit>> = const { Cell::new(Vec::new()) };
+/// Which visit it is, and where those of the same node end. All behind these are over by then.
+#[derive(Clone, Copy)]
+struct Turn {
+    visit: u32,
+    end: u32,
 }
 
-/// What a packet has still to visit; what comes next is last.
+/// What a packet has still to visit. Visits stay where they are written, since one is as large as a packet; turns are put in
+/// order in their place.
+#[derive(Default)]
 struct Open {
-    /// With room for the children of a node behind the `count` that there are.
+    /// With room for the children of a node behind `end`.
     visits: Vec<Visit>,
+    end: usize,
+    /// With room behind the `count` that there are; what comes next is last. Where visits have no order, the last one is
+    /// next, and there are none of these.
+    turns: Vec<Turn>,
     count: usize,
 }
 
+thread_local! {
+    /// What the last packet had to visit: long enough for most, and not made anew for each.
+    static OPEN: Cell<Open> = const { Cell::new(Open::NOTHING) };
+}
+
 impl Open {
+    const NOTHING: Self = Self {
+        visits: Vec::new(),
+        end: 0,
+        turns: Vec::new(),
+        count: 0,
+    };
+
     /// The root, for all of these rays.
     #[inline(always)]
     fn new(rays: u32) -> Self {
-        let mut open = Self {
-            visits: VISITS.take(),
-            count: 0,
-        };
-        open.room()[0] = Visit {
+        let mut open = OPEN.take();
+        (open.end, open.count) = (0, 0);
+        let (visits, turns) = open.room();
+        visits[0] = Visit {
             node: Child::ROOT,
             rays,
             near: f32x16::splat(0.0),
         };
-        open.count = 1;
+        turns[0] = Turn { visit: 0, end: 1 };
+        (open.end, open.count) = (1, 1);
         open
     }
 
     #[inline(always)]
-    fn pop(&mut self) -> Option<Visit> {
+    fn pop<const ORDERED: bool>(&mut self) -> Option<Visit> {
+        if !ORDERED {
+            self.end = self.end.checked_sub(1)?;
+            return self.visits.get(self.end).copied();
+        }
         self.count = self.count.checked_sub(1)?;
-        self.visits.get(self.count).copied()
+        let turn = self.turns.get(self.count)?;
+        self.end = turn.end as usize;
+        self.visits.get(turn.visit as usize).copied()
     }
 
     /// Room for the children of a node, behind those that there are.
     #[inline(always)]
-    fn room(&mut self) -> &mut [Visit] {
-        if self.visits.len() < self.count + NODE_WIDTH {
+    fn room(&mut self) -> (&mut [Visit], &mut [Turn]) {
+        let (end, count) = (self.end + NODE_WIDTH, self.count + NODE_WIDTH);
+        if self.visits.len() < end || self.turns.len() < count {
             self.grow();
         }
-        &mut self.visits[self.count..self.count + NODE_WIDTH]
+        let visits = &mut self.visits[self.end..end];
+        (visits, &mut self.turns[self.count..count])
     }
 
     #[cold]
@@ -79,13 +115,14 @@ impl Open {
             rays: 0,
             near: f32x16::splat(0.0),
         };
-        self.visits.resize(2 * self.count + 64, nothing);
+        self.visits.resize(2 * self.end + 64, nothing);
+        (self.turns).resize(2 * self.count + 64, Turn { visit: 0, end: 0 });
     }
 
     /// Keeps the memory for the next packet.
     #[inline(always)]
     fn close(self) {
-        VISITS.set(self.visits);
+        OPEN.set(self);
     }
 }
 
@@ -177,68 +214,56 @@ impl<'a> Interleaved<'a> {
         (near.simd_le(far).to_bitmask(), near)
     }
 
-    /// Puts the children that some of `rays` enter before their `limit` first, and tells how many these are: the nearest last,
-    /// by where the first ray of each enters it, if `ORDERED`. Which there are is hardly ever the same twice: nothing
-    /// branches on it.
+    /// Adds the children that some of `rays` enter before their `limit`: the nearest comes next, by where the first ray of each
+    /// enters it, if `ORDERED`. Which there are is hardly ever the same twice: nothing branches on it.
     #[inline(always)]
     // Iterators over several arrays are no vector instructions.
     #[allow(clippy::needless_range_loop)]
-    fn enter<const ORDERED: bool>(
-        &self,
-        node: &Node,
-        rays: u32,
-        limit: f32x16,
-        room: &mut [Visit],
-    ) -> usize {
+    fn enter<const ORDERED: bool>(&self, node: &Node, rays: u32, limit: f32x16, open: &mut Open) {
         let planes = self.widened(node);
+        let first = open.end;
+        let (visits, turns) = open.room();
         let mut count = 0;
-        if !ORDERED {
-            for k in 0..NODE_WIDTH {
-                let (entered, near) = self.test(&planes, k, limit);
-                let child = node.children[k];
-                let rays = if child.is_nothing() {
-                    0
-                } else {
-                    entered & rays
-                };
-                room[count % NODE_WIDTH] = Visit {
-                    node: child,
-                    rays,
-                    near,
-                };
-                count += usize::from(rays != 0);
-            }
-            return count;
-        }
-        let mut visits = [(0, f32x16::splat(0.0)); NODE_WIDTH];
         // Distances are not negative, so that their bits are in their order, but for the sign of zero; the lowest ones make all
         // different. What is not entered comes behind all else.
-        let mut keys = [0_i32; NODE_WIDTH];
+        let mut keys: [i32; NODE_WIDTH] = [-8, -7, -6, -5, -4, -3, -2, -1];
         for k in 0..NODE_WIDTH {
             let (entered, near) = self.test(&planes, k, limit);
-            let there = !node.children[k].is_nothing();
-            let rays = if there { entered & rays } else { 0 };
-            visits[k] = (rays, near);
-            let distance = near.to_array()[rays.trailing_zeros() as usize % PACKET_SIZE];
-            let key = (distance.to_bits() & 0x7fff_fff8) as i32 | k as i32;
-            keys[k] = if rays != 0 { key } else { k as i32 - 8 };
-            count += usize::from(rays != 0);
-        }
-        let mut places = [0_u32; NODE_WIDTH];
-        for key in keys {
-            for k in 0..NODE_WIDTH {
-                places[k] += u32::from(key > keys[k]);
-            }
-        }
-        for k in 0..NODE_WIDTH {
-            let (rays, near) = visits[k];
-            room[places[k] as usize % NODE_WIDTH] = Visit {
-                node: node.children[k],
+            let child = node.children[k];
+            let rays = if child.is_nothing() {
+                0
+            } else {
+                entered & rays
+            };
+            visits[count % NODE_WIDTH] = Visit {
+                node: child,
                 rays,
                 near,
             };
+            if ORDERED {
+                let distance = near.to_array()[rays.trailing_zeros() as usize % PACKET_SIZE];
+                let key = (distance.to_bits() & 0x7fff_fff8) as i32 | k as i32;
+                keys[count % NODE_WIDTH] = if rays != 0 { key } else { count as i32 - 8 };
+            }
+            count += usize::from(rays != 0);
         }
-        count
+        let end = (first + count) as u32;
+        if ORDERED {
+            let mut places = [0_u32; NODE_WIDTH];
+            for key in keys {
+                for k in 0..NODE_WIDTH {
+                    places[k] += u32::from(key > keys[k]);
+                }
+            }
+            for k in 0..NODE_WIDTH {
+                turns[places[k] as usize % NODE_WIDTH] = Turn {
+                    visit: (first + k) as u32,
+                    end,
+                };
+            }
+            open.count += count;
+        }
+        open.end = first + count;
     }
 
     #[inline(always)]
@@ -486,7 +511,7 @@ impl Tree {
                 }
                 nearest.t = f32x16::from(t);
             }
-            Kind::Block(_, count) if (rays.count_ones() as usize) < count => {
+            Kind::Block(_, count) if (rays.count_ones() as usize) < VECTORS * count => {
                 let mut t = nearest.t.to_array();
                 for lane in lanes(rays) {
                     if let Some(ray) = rays_in_flight.ray(lane) {
@@ -540,7 +565,7 @@ impl Tree {
             return;
         }
         let mut open = Open::new((1 << rays_in_flight.packet.len()) - 1);
-        while let Some(visit) = open.pop() {
+        while let Some(visit) = open.pop::<ORDERED>() {
             let (far, looking) = limit(state);
             let rays = visit.rays & looking & visit.near.simd_le(far).to_bitmask();
             let Kind::Inner(index) = visit.node.kind() else {
@@ -557,8 +582,7 @@ impl Tree {
                 continue;
             }
             let node = &self.nodes[index];
-            let room = open.room();
-            open.count += rays_in_flight.enter::<ORDERED>(node, rays, far, room);
+            rays_in_flight.enter::<ORDERED>(node, rays, far, &mut open);
         }
         open.close();
     }
@@ -585,11 +609,6 @@ mod tests {
         rays.slack = 0.0;
         rays.inverse = [f32x16::splat(-1.0); 3];
         rays.base = [f32x16::splat(-0.0); 3];
-        let nothing = Visit {
-            node: Child::ROOT,
-            rays: 0,
-            near: f32x16::splat(0.0),
-        };
         for turn in 0..NODE_WIDTH {
             let mut node = tree.nodes[0].clone();
             let place = |k: usize| (3 * k + turn) % NODE_WIDTH;
@@ -607,15 +626,18 @@ mod tests {
                 });
                 node.children[k] = tree.nodes[0].children[0];
             }
-            let mut room = [nothing; NODE_WIDTH];
             let limit = f32x16::splat(9.0);
-            let count = rays.enter::<true>(&node, u32::MAX >> 16, limit, &mut room);
-            let near = |visit: &Visit| visit.near.to_array()[0];
-            let found: Vec<f32> = room[..count].iter().map(near).collect();
-            assert_eq!(found, [6.0, 5.0, 4.0, 3.0, 2.0, 1.0, 0.0], "{turn}");
-            let count = rays.enter::<false>(&node, u32::MAX >> 16, limit, &mut room);
-            let mut all: Vec<f32> = room[..count].iter().map(near).collect();
-            all.sort_by(|a, b| b.total_cmp(a));
+            let near = |visit: Visit| visit.near.to_array()[0];
+            let mut open = Open::new(0);
+            assert!(open.pop::<true>().is_some());
+            rays.enter::<true>(&node, u32::MAX >> 16, limit, &mut open);
+            let found: Vec<f32> = std::iter::from_fn(|| open.pop::<true>().map(near)).collect();
+            assert_eq!(found, [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0], "{turn}");
+            let mut open = Open::new(0);
+            assert!(open.pop::<false>().is_some());
+            rays.enter::<false>(&node, u32::MAX >> 16, limit, &mut open);
+            let mut all: Vec<f32> = std::iter::from_fn(|| open.pop::<false>().map(near)).collect();
+            all.sort_by(f32::total_cmp);
             assert_eq!(all, found);
         }
     }

@@ -24,10 +24,12 @@ mod cluster;
 mod curved;
 mod instances;
 mod interleaved;
+mod node;
 mod plane;
 mod ray_packet;
 mod triangle_block;
 mod tube;
+mod widen;
 
 pub(crate) use triangle_block::SEAM;
 pub(crate) use tube::{Along, Cubic, range, rounded};
