@@ -17,6 +17,7 @@ mod frame;
 pub(crate) mod gauss;
 mod ray;
 mod rgb;
+pub(crate) mod search;
 mod transform;
 pub mod warp;
 

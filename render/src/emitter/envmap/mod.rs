@@ -221,12 +221,22 @@ impl Envmap {
         }
     }
 
-    /// Where in the map's numbers a sample is looked up: its band, what there is of that, and the fraction of the sphere
-    /// that it covers.
+    /// The first and the last band that a random number may fall into.
     #[inline(always)]
-    pub(crate) fn draw_band(&self, u: f64) -> (usize, Local<f64>, f64) {
-        let band = self.table.band(u);
-        (band, self.table.around(band), self.table.cover(band))
+    pub(crate) fn bands_left(&self, u: f64) -> [usize; 2] {
+        self.table.bands_left(u)
+    }
+
+    /// Whether it falls below a band.
+    #[inline(always)]
+    pub(crate) fn is_above(&self, band: usize, u: f64) -> bool {
+        self.table.is_above(band, u)
+    }
+
+    /// What there is of its band in the map's numbers, and the fraction of the sphere that it covers.
+    #[inline(always)]
+    pub(crate) fn draw_band(&self, band: usize) -> (Local<f64>, f64) {
+        (self.table.around(band), self.table.cover(band))
     }
 
     /// How far down in the band it is.
@@ -235,12 +245,23 @@ impl Envmap {
         self.table.latitude_where(cover, u, around)
     }
 
-    /// Its cell, what surrounds that, and 1 - cos theta above and below.
+    /// The first and the last cell of a band that a random number may fall into at a latitude, and the sum that it reaches.
     #[inline(always)]
-    pub(crate) fn draw_cell(&self, band: usize, u: f64, y: f64) -> (usize, Local<f64>, [f64; 2]) {
-        let (table, cell) = (&self.table, self.table.cell(band, u, y));
-        let edges = [table.edges[band], table.edges[band + 1]];
-        (cell, table.local(band, cell), edges)
+    pub(crate) fn cells_left(&self, band: usize, u: f64, y: f64) -> ([usize; 2], f64) {
+        self.table.cells_left(band, u, y)
+    }
+
+    /// Whether a cell of a band ends before that sum.
+    #[inline(always)]
+    pub(crate) fn is_before(&self, of: [usize; 2], y: f64, target: f64) -> bool {
+        self.table.is_before(of, y, target)
+    }
+
+    /// What surrounds a cell, and 1 - cos theta above and below.
+    #[inline(always)]
+    pub(crate) fn draw_cell(&self, [band, cell]: [usize; 2]) -> (Local<f64>, [f64; 2]) {
+        let edges = [self.table.edges[band], self.table.edges[band + 1]];
+        (self.table.local(band, cell), edges)
     }
 
     /// The sample that these numbers give: direction, density and coordinates of the texture.
@@ -370,9 +391,11 @@ impl Emitter for Envmap {
         }
         // In f64: a choice among thousands of cells leaves f32 few digits for the place in the cell.
         let [u0, u1] = [u[0].to_f64(), u[1].to_f64()];
-        let (band, around, cover) = self.draw_band(u1);
+        let band = self.table.band(u1);
+        let (around, cover) = self.draw_band(band);
         let y = self.draw_latitude(cover, u1, &around);
-        let (cell, local, edges) = self.draw_cell(band, u0, y);
+        let cell = self.table.cell(band, u0, y);
+        let (local, edges) = self.draw_cell([band, cell]);
         let (d, pdf, uv) = self.draw_place((cell as f64, edges), u0, y, &local);
         Some(self.sampled(d, pdf, uv))
     }

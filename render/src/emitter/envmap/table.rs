@@ -7,11 +7,11 @@
 //! own, jumps at its sides.)
 
 use std::f64::consts::PI;
-use std::hint::select_unpredictable;
 
 use ad_core::Real;
 
 use crate::math::both;
+use crate::math::search::first_not;
 
 /// Fraction of the samples that are uniform over the sphere, so that dark texels can be switched on
 /// (F7).
@@ -86,27 +86,6 @@ impl Guide {
 fn part(u: f64, parts: usize) -> usize {
     // Larger numbers than that are none.
     ((u * parts as f64) as usize).min(parts - 1)
-}
-
-/// The first of these places that is not `before`, or the last of them.
-#[inline(always)]
-fn first_not(mut first: usize, mut last: usize, before: impl Fn(usize) -> bool) -> usize {
-    // Mostly there are up to three of them, and how many cannot be predicted: no branches for the first three.
-    for _ in 0..2 {
-        let middle = (first + last) / 2;
-        let (open, passed) = (first < last, before(middle));
-        first = select_unpredictable(open & passed, middle + 1, first);
-        last = select_unpredictable(open & !passed, middle, last);
-    }
-    while first < last {
-        let middle = (first + last) / 2;
-        if before(middle) {
-            first = middle + 1
-        } else {
-            last = middle
-        }
-    }
-    first
 }
 
 impl Table {
@@ -313,29 +292,51 @@ impl Table {
     /// The band that a random number falls into.
     #[inline(always)]
     pub fn band(&self, u: f64) -> usize {
-        let bands = &self.sums[self.width * self.height..];
+        first_not(self.bands_left(u), |band| self.is_above(band, u))
+    }
+
+    /// The first and the last band that it may be.
+    #[inline(always)]
+    pub fn bands_left(&self, u: f64) -> [usize; 2] {
         let k = part(u, self.parts[0]);
         let guide = &self.band_guide.0;
         // The last sum may be less than one by rounding.
         let last = (guide[k + 1] as usize).min(self.bands() - 1);
-        first_not((guide[k] as usize).min(last), last, |i| bands[i] <= u)
+        [(guide[k] as usize).min(last), last]
     }
 
-    /// The cell that a random number falls into, at a latitude in a band. What is searched is a mean of two rows, which
-    /// passes a part of its sum no earlier than both of them do, and no later.
+    /// Whether a random number falls below a band.
+    #[inline(always)]
+    pub fn is_above(&self, band: usize, u: f64) -> bool {
+        self.sums[self.width * self.height + band] <= u
+    }
+
+    /// The cell that a random number falls into, at a latitude in a band.
     #[inline(always)]
     pub fn cell(&self, band: usize, u: f64, y: f64) -> usize {
+        let (range, target) = self.cells_left(band, u, y);
+        first_not(range, |cell| self.is_before([band, cell], y, target))
+    }
+
+    /// The first and the last cell that it may be, and the sum that it reaches. What is searched is a mean of two rows, which
+    /// passes a part of its sum no earlier than both of them do, and no later.
+    #[inline(always)]
+    pub fn cells_left(&self, band: usize, u: f64, y: f64) -> ([usize; 2], f64) {
         let parts = self.parts[1];
         let [a, b] = self.rows(band);
         let k = part(u, parts);
         let guide = |row: usize, k: usize| self.cell_guides.0[row * (parts + 1) + k] as usize;
         let first = guide(a, k).min(guide(b, k));
         let last = guide(a, k + 1).max(guide(b, k + 1)).min(self.width - 1);
-        let (upper, lower) = (&self.sums[a * self.width..], &self.sums[b * self.width..]);
         let target = u * mix([self.sums[self.row(a)], self.sums[self.row(b)]], y);
-        first_not(first.min(last), last, |i| {
-            mix([upper[i], lower[i]], y) <= target
-        })
+        ([first.min(last), last], target)
+    }
+
+    /// Whether a cell ends before that sum.
+    #[inline(always)]
+    pub fn is_before(&self, [band, cell]: [usize; 2], y: f64, target: f64) -> bool {
+        let sums = both(self.rows(band), |row| self.sums[row * self.width + cell]);
+        mix(sums, y) <= target
     }
 
     /// What the latitude in a band depends on; there is no cell yet.

@@ -5,6 +5,7 @@ use ad_core::{Float, Vec2, Vec3};
 use super::lamps::FacesOfLamps;
 use super::lanes::{Field, Lane, Lanes, WAVE_SIZE, lanes, whole};
 use super::lookups::{Lookups, image};
+use super::searches::Searches;
 use super::state::Lights;
 use crate::emitter::{
     AnyEmitter, Area, Cone, Constant, Directional, Emission, Emitter, EmitterSample, Envmap,
@@ -180,6 +181,10 @@ struct Draws {
     y: Lane<f64>,
     cell: Lane<f64>,
     edges: [Lane<f64>; 2],
+    /// Where searches are.
+    searches: Searches,
+    /// The sum that each cell reaches.
+    target: Lane<f64>,
 }
 
 impl<P: Float> Group<P> {
@@ -480,6 +485,8 @@ impl Draws {
             y: none,
             cell: none,
             edges: [none; 2],
+            searches: Searches::new(),
+            target: none,
         }
     }
 
@@ -494,11 +501,18 @@ impl Draws {
         }
     }
 
-    /// Bands, latitudes and cells: looked up one by one, between what is done in vectors.
+    /// Bands, latitudes and cells: looked up one by one, between what is done in vectors. All searches take their steps
+    /// together, so that none waits for what another reads.
     #[inline(never)]
     fn find<P: Float>(&mut self, e: &Envmap, n: usize, [a, b]: [&Lane<P>; 2]) {
-        for k in 0..n.min(WAVE_SIZE) {
-            let (band, around, cover) = e.draw_band(b[k].to_f64());
+        let n = n.min(WAVE_SIZE);
+        for k in 0..n {
+            self.searches.put(k, e.bands_left(b[k].to_f64()));
+        }
+        (self.searches).run(n, |k, band| e.is_above(band, b[k].to_f64()));
+        for k in 0..n {
+            let band = self.searches.found(k);
+            let (around, cover) = e.draw_band(band);
             self.band[k] = band as u32;
             (self.cover[k], self.before[k]) = (cover, around.before);
             (self.rows[0][k], self.rows[1][k]) = (around.rows[0], around.rows[1]);
@@ -506,8 +520,18 @@ impl Draws {
         for k in 0..whole(n) {
             self.y[k] = e.draw_latitude(self.cover[k], b[k].to_f64(), &self.local(k));
         }
-        for k in 0..n.min(WAVE_SIZE) {
-            let (cell, local, edges) = e.draw_cell(self.band[k] as usize, a[k].to_f64(), self.y[k]);
+        for k in 0..n {
+            let (range, target) = e.cells_left(self.band[k] as usize, a[k].to_f64(), self.y[k]);
+            self.searches.put(k, range);
+            self.target[k] = target;
+        }
+        let (band, y, target) = (&self.band, &self.y, &self.target);
+        (self.searches).run(n, |k, cell| {
+            e.is_before([band[k] as usize, cell], y[k], target[k])
+        });
+        for k in 0..n {
+            let cell = self.searches.found(k);
+            let (local, edges) = e.draw_cell([self.band[k] as usize, cell]);
             self.cell[k] = cell as f64;
             for side in 0..2 {
                 self.edges[side][k] = edges[side];

@@ -22,6 +22,7 @@ mod lookups;
 mod numbers;
 mod readings;
 mod record;
+mod searches;
 mod slopes;
 mod start;
 mod state;
