@@ -696,7 +696,11 @@ fn encode_planes(
     let layer = exr::Layer::new(
         (width, height),
         attributes,
-        exr::Encoding::SMALL_FAST_LOSSLESS,
+        // Tiles in any order are in that in which threads have compressed them.
+        exr::Encoding {
+            line_order: exr::LineOrder::Increasing,
+            ..exr::Encoding::SMALL_FAST_LOSSLESS
+        },
         exr::AnyChannels::sort(list.collect()),
     );
     let mut bytes = Cursor::new(Vec::new());
