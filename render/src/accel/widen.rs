@@ -202,7 +202,7 @@ impl<'a> Binary<'a> {
         }
     }
 
-    /// See [`Self::sums`].
+    /// The least sum of the areas of all boxes from a node downwards, in so many places: its box alone where it is a leaf.
     fn sum(&self, at: usize, places: usize) -> f32 {
         if self.is_leaf(at) {
             return self.area(at);
