@@ -508,7 +508,7 @@ mod tests {
     /// Far more than is at hand, as in hierarchies that are mostly depth.
     #[test]
     fn searches_are_as_deep_as_they_have_to_be() {
-        let child = |k: usize| Child::leaf(0, k);
+        let child = |k: usize| Child::block(k, 1);
         let mut search = Search::NONE;
         let count = 5 * AT_HAND;
         for k in 0..count {
@@ -542,7 +542,7 @@ mod tests {
                     let side = if k == missed { 9.0 } else { 0.0 };
                     let bounds = Aabb::new([low, side, -1.0].into(), [low + 1.5, side, 1.0].into());
                     node.place(k, &bounds, [0.0; 3]);
-                    node.children[k] = Child::leaf(0, k);
+                    node.children[k] = Child::block(k, 1);
                 }
                 let mut search = Search::NONE;
                 search.enter(&slabs, &node, 5.5);

@@ -23,23 +23,33 @@ pub(super) enum Kind {
 
 impl Child {
     pub const NOTHING: Self = Self(u32::MAX);
-    pub const LEAF: u32 = 1 << 31;
-    pub const CURVED: u32 = 1 << 30;
+    const LEAF: u32 = 1 << 31;
+    const CURVED: u32 = 1 << 30;
     /// Indices are below, also those of nodes.
-    pub const COUNT_SHIFT: u32 = 27;
-    pub const INDEX: u32 = (1 << Self::COUNT_SHIFT) - 1;
+    const COUNT_SHIFT: u32 = 27;
+    const INDEX: u32 = (1 << Self::COUNT_SHIFT) - 1;
 
     /// The root.
     pub const ROOT: Self = Self(0);
 
-    /// A node. Wrong where there are too many, as leaves are: who makes a tree counts them.
+    /// Indices of nodes, blocks and curved primitives are below this; larger ones are wrong, so that who makes a tree counts
+    /// them.
+    pub const MANY: usize = Self::INDEX as usize;
+
+    /// A node.
     pub fn inner(index: usize) -> Self {
         Self(index as u32 & Self::INDEX)
     }
 
-    /// A leaf.
-    pub fn leaf(tag: u32, index: usize) -> Self {
-        Self(Self::LEAF | tag | (index as u32 & Self::INDEX))
+    /// A block of so many primitives, one to eight.
+    pub fn block(index: usize, count: usize) -> Self {
+        let count = (count as u32 - 1) << Self::COUNT_SHIFT;
+        Self(Self::LEAF | count | (index as u32 & Self::INDEX))
+    }
+
+    /// A curved primitive.
+    pub fn curved(index: usize) -> Self {
+        Self(Self::LEAF | Self::CURVED | (index as u32 & Self::INDEX))
     }
 
     /// The same where there are so many more of its kind before.

@@ -94,13 +94,12 @@ impl Subtree {
             && binary.items[*one as usize].is_curved()
         {
             self.curved.push(*one);
-            return Child::leaf(Child::CURVED, self.curved.len() - 1);
+            return Child::curved(self.curved.len() - 1);
         }
         let mut leaf = [u32::MAX; LANES];
         leaf[..primitives.len()].copy_from_slice(primitives);
         self.leaves.push(leaf);
-        let count = (primitives.len() as u32 - 1) << Child::COUNT_SHIFT;
-        Child::leaf(count, self.leaves.len() - 1)
+        Child::block(self.leaves.len() - 1, primitives.len())
     }
 
     /// Takes in a part whose first node is node `at`. `None` if there are too many of anything.
@@ -126,7 +125,7 @@ impl Subtree {
     /// with all tags is nothing.
     fn count(&self) -> Option<()> {
         let counts = [self.nodes.len(), self.leaves.len(), self.curved.len()];
-        (counts.iter().all(|&n| n < Child::INDEX as usize)).then_some(())
+        counts.iter().all(|&n| n < Child::MANY).then_some(())
     }
 }
 
@@ -239,7 +238,7 @@ impl<'a> Binary<'a> {
         let (_, first) = self.split(at, places);
         let places = [first, places - first];
         for (child, places) in self.children(at).into_iter().zip(places) {
-            // Where areas are not finite, all places are taken.
+            // Of equals the one with more places.
             if places > 1
                 && !self.is_leaf(child)
                 && self.split(child, places).0 <= self.sum(child, 1)
